@@ -35,7 +35,7 @@ FLOORS = (
 # Floors of the plug-ins, above all of the core, which imports nothing from them.
 PLUGIN_FLOORS = (
     ("page", "remedies", "tune", "worlds", "foreign", "cluster", "neural", "exchange"),
-    ("papers", "auto", "bench", "gym", "vehicle"),
+    ("papers", "auto", "bench", "gym", "vehicle", "archive"),
     ("logs",),
 )
 

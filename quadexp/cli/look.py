@@ -140,11 +140,12 @@ def show(
     overrides: Overrides = (),
     margins: Annotated[bool, Ask("What delay and motor lag the loop tolerates along the path, from settings.")] = False,
     beliefs: Annotated[bool, Ask("Of a flight with remedies=auto: what it believed, and what was true.")] = False,
+    cite: Annotated[bool, Ask("BibTeX of the methods that flew, and of this program.")] = False,
     out: Annotated[Path | None, Ask("Draw the beliefs too: a png, pdf or svg.", "PATH", "--out -o")] = None,
     force: Force = False,
     conf: Conf = (),
 ) -> Answer:
-    """Show what a file holds: its kind, configuration, units, seed, versions, size.
+    """Show what a file holds: its kind, configuration, units, seed, versions, commit, size.
 
     \b
     quadexp show runs/a.parquet
@@ -152,7 +153,13 @@ def show(
     quadexp show --margins runs/a.parquet
     quadexp show --margins controller=nominal_mpc trajectory=circle trajectory.speed=8
     quadexp show runs/a.parquet --beliefs --out beliefs.png
+    quadexp show --cite results/table1
     """
+    if cite:
+        from quadexp.report.cite import bibtex
+
+        text = bibtex(path, conf)
+        return Answer({"bibtex": text}, [{"bibtex": text}], text.splitlines())
     if out is not None and not beliefs:
         raise UsageError(f"--out {out}: only beliefs are drawn: give --beliefs")
     if margins and beliefs:

@@ -120,7 +120,7 @@ def world_note(margins: Mapping[str, Any]) -> str:
     """That a loop was flown which is not stable; "" where it is."""
     if margins.get("delay", 1.0):
         return ""
-    return f"the loop is not stable at hover: deviations grow e-fold in {1 / margins['growth']:.2g} s"
+    return f"the loop is not stable at hover: an error doubles every {math.log(2) / margins['growth']:.2g} s"
 
 
 def _milliseconds(time: float) -> str:
@@ -157,7 +157,8 @@ def _table(path: Path) -> dict[str, Any]:
     lines += _config_lines(record.get("config"))
     if kind == "results":  # the versions of the flights are in the rows; those of the record are of the table
         created = summary["provenance"].get("created")
-        return summary | {"lines": lines + ([f"table       written {created}"] if created else [])}
+        written = f"table       written {created}, {revision_text(summary['provenance'])}".rstrip(", ")
+        return summary | {"lines": lines + ([written] if created else [])}
     lines += _unit_lines(summary["columns"]) + _provenance_lines(record)
     return summary | {"lines": lines}
 
@@ -322,10 +323,15 @@ def _provenance_lines(record: Mapping[str, Any]) -> list[str]:
     if record.get("sources"):
         lines.append(f"sources     {record['sources']} (hash of what decides a flight)")
     if provenance:
-        git = provenance.get("git") or {}
-        revision = f"commit {git['commit'][:10]}{' with changes' if git.get('dirty') else ''}, " if git else ""
-        lines.append(f"made        {provenance.get('created')}, {revision}{provenance.get('cpu')}")
+        revision = revision_text(provenance)
+        lines.append(f"made        {provenance.get('created')}, {revision and revision + ', '}{provenance.get('cpu')}")
     return lines
+
+
+def revision_text(provenance: Mapping[str, Any]) -> str:
+    """Such as "commit 6ff48bd8a4", with changes where there were some; "" where no checkout says."""
+    git = provenance.get("git") or {}
+    return f"commit {git['commit'][:10]}{' with changes' if git.get('dirty') else ''}" if git else ""
 
 
 def _size(count: int) -> str:

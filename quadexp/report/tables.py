@@ -62,7 +62,7 @@ NAMES = {
 
 
 def cell_text(s: Statistic) -> str:
-    """Such as "12.3", "**240.6** [239.9, 241.2]*", "12.3 (own 13.1 of 19; 1 lost)" or "3 lost".
+    """Such as "12.3", "**240.6** [239.9, 241.2]*", "12.3 (all 19: 13.1; 1 lost)" or "3 lost".
 
     The mean over the common flights with its interval; beside it that over all own completed flights, if these are
     more, and how the others ended."""
@@ -70,7 +70,7 @@ def cell_text(s: Statistic) -> str:
     beside = [f"{count} {outcome}" for outcome, count in s.failures.items()]
     beside = [", ".join(beside)] if beside else []
     if s.n > s.common:
-        beside = [f"own {with_interval(factor * s.mean)[0]} of {s.n}", *beside]
+        beside = [f"all {s.n}: {with_interval(factor * s.mean)[0]}", *beside]
     if math.isnan(s.common_mean):
         return "; ".join(beside) or "-"
     mean, limits = with_interval(factor * s.common_mean, factor * s.common_low, factor * s.common_high)
@@ -186,11 +186,8 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
 def comparison_texts(statistics: Statistics, metric: str) -> tuple[Table, dict[str, str]]:
     """The error table of one metric, and name -> content of the text files made of the statistics."""
     table = error_table(statistics.flights, metric, baseline=statistics.baseline, confidence=statistics.confidence)
-    files = {
-        "table.md": table.markdown(),
-        "table.tex": _for_a_paper(statistics, metric),
-        "statistics.csv": statistics.csv,
-    }
+    files = {"table.md": table.markdown(), "statistics.csv": statistics.csv}
+    files["table.tex"] = _for_a_paper(statistics, metric)
     if (comparison := comparison_table(statistics.of(metric))) is not None:
         files["table.md"] += f"\n{comparison.markdown()}"
         files["comparison.tex"] = fitted_latex(replace(comparison, beside=3), WIDTHS["page"])

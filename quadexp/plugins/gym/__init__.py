@@ -1,4 +1,4 @@
-"""Reinforcement learning: worlds of the bench as environments of Gymnasium, and policies from elsewhere as controllers.
+"""Reinforcement learning: the bench's worlds as environments of Gymnasium, policies trained elsewhere as controllers.
 
     gymnasium.make("quadexp/Tracking-v0", overrides=["trajectory=circle", "world=only_wind"])     env.py
     quadexp simulate controller=policy controller.policy=hover.onnx                               policy.py

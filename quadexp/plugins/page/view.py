@@ -140,8 +140,8 @@ class View:
     """A figure to be drawn. y: a column of numbers, or "success". by: keys of the lines (of a heat map its rows).
     facet: keys of the panels. others: keys that vary and are averaged. notes: what a reader has to know. alone: who
     flew and what, as far as all flights share it: values of the controller, its model, the trajectory and the speed.
-    heading: the title. width: of a figure for a paper (inches). height: of any figure, None for what it takes.
-    colours: of a line's label or value, "#rrggbb"."""
+    heading: the title. width: of a figure for a paper (inches). height: of any figure (inches). colours: of a
+    line's label or value, "#rrggbb"."""
 
     kind: Kind
     y: str

@@ -160,7 +160,7 @@ def checked_files(
     flies = flight.contexts is not None and period is not None and len(flight.contexts) > 0
     rows += [f"#define HAS_PLANT {int(flies)}"]
     if flies and period is not None and flight.contexts is not None:
-        function = period.function.origin  # type: ignore[attr-defined]  # compiled
+        function = period.function.origin  # of a compiled one
         steps = len(flight.contexts)
         along = np.array([row[:3] for row in reference.along()[0][:steps]])
         flown = np.array([reference.at(0)[0][:3], *flight.positions])[:steps]

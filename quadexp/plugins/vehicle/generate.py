@@ -36,7 +36,15 @@ FUNCTIONS = (  # of math.h, that generated code and the C of the bench call
     "sqrt", "exp", "log", "log10", "fabs", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",
     "fmax", "fmin", "pow", "floor", "ceil", "copysign", "rint", "hypot", "expm1", "log1p", "fmod", "erf",
 )  # fmt: skip
-SHARED = ("mpc_prepare", "mpc_feedback", "mpc_bounded", "node_linearise", "node_held", "node_frame", "node_lanes")
+SHARED: tuple[str, ...] = (
+    "mpc_prepare",
+    "mpc_feedback",
+    "mpc_bounded",
+    "node_linearise",
+    "node_held",
+    "node_frame",
+    "node_lanes",
+)
 SHARED += ("node_memory", "has_lanes", "linearise", "held", "frame", "mpc_work")
 HELPERS = re.compile(  # what CasADi adds for programs that ask a library about its functions
     r"CASADI_SYMBOL_EXPORT [^\n]*_(?:checkout|release|incref|decref|n_in|n_out|default_in|name_in|name_out|sparsity_in|"
@@ -132,7 +140,7 @@ def functions_of(made: Program) -> dict[int, tuple[str, ca.Function]]:
     for operation in made.operations:
         if operation.function is None or id(operation.function.function) in found:
             continue
-        origin = operation.function.function.origin  # type: ignore[attr-defined]  # compiled
+        origin = operation.function.function.origin  # of a compiled one
         name = f"{origin.name()}_{len(taken)}" if origin.name() in taken else origin.name()
         if name != origin.name():
             symbols = origin.mx_in()

@@ -118,7 +118,7 @@ def test_environments_side_by_side_do_not_disturb_each_other():
 def test_a_fall_is_lost_and_the_end_is_truncated():
     env = gymnasium.make("quadexp/Hover-v0", lost=0.5, spread=(0, 0, 0)).unwrapped
     env.reset(seed=0)
-    for _k in range(100):
+    for _ in range(100):
         _, reward, terminated, truncated, info = env.step(-np.ones(4))
         if terminated:
             break

@@ -35,6 +35,7 @@ CALLS = {  # of each command: a call that answers with a table
     "compare": ("compare", "results", "other"),
     "table": ("table", "results", "--intervals", "pm"),
     "plot": ("plot", "results", "--x", "controller.nodes", "--out", "p.svg", "--force"),
+    "archive": ("archive", "results", "--out", "a.zip", "--force"),
     "report": ("report", "results", "--out", "page.html", "--figures", "paper", "--force"),
     "export": ("export", "a.parquet", "--to", "csv", "--out", "x.csv", "--force"),
     "animate": ("animate", "a.parquet", "--rate", "5", "--to", "0.4", "--out", "g.gif", "--force"),

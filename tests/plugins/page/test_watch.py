@@ -49,9 +49,9 @@ def test_the_page_grows_and_its_numbers_are_those_of_the_flights(out):
         assert flown == ["flown", "", "2 of 2", "0 of 1"]
         assert line[2].startswith("250.0 [") and line[3] == "1 lost"  # (0.2 + 0.3) / 2 m
         fly(watch, row("gp_mpc", seed=1, error=0.004))
-        assert watch.shot().table().rows[1][2:] == ["300.0 (own 250.0 of 2)", "4.00 (1 lost)"]
+        assert watch.shot().table().rows[1][2:] == ["300.0 (all 2: 250.0)", "4.00 (1 lost)"]
     left = (out / FILE).read_text()
-    assert "4 of 4 flights, finished" in left and AGAIN not in left and "own 250.0 of 2" in left
+    assert "4 of 4 flights, finished" in left and AGAIN not in left and "all 2: 250.0" in left
 
 
 def test_the_page_asks_no_other_machine_and_shows_names_as_text():

@@ -56,7 +56,7 @@ def test_a_remedy_is_part_of_the_loop():
         fly_one(compose(world))
     margins = fly_one(compose([*world, "delay=prediction", "delay.time=0.05"])).metadata["margins"]
     assert 0.01 < margins["delay"] < 0.03 and not world_note(margins)
-    with pytest.raises(InfeasibleError, match=r"is not stable at hover, deviations grow e-fold in"):
+    with pytest.raises(InfeasibleError, match=r"is not stable at hover, an error doubles every"):
         fly_one(compose([*world, "delay=prediction", "delay.time=0.02"]))
 
 

@@ -95,7 +95,8 @@ class Agreement(NamedTuple):
     @property
     def words(self) -> str:
         size = np.linalg.norm(self.signal)
-        return f"{self.relation.words}: differs by {self.left:.3g} {self.relation.unit} rms of {size:.3g}"
+        unit = self.relation.unit
+        return f"{self.relation.words}: the RMS difference is {self.left:.3g} {unit}, the RMS value {size:.3g}"
 
 
 Agreements = dict[str, Agreement]  # by relation
@@ -219,7 +220,7 @@ class Trial:
         """rival: the next best candidate, where it lies less than MARGIN behind."""
         one, name = self.candidate, self.telling
         rest, unit = self.after[name].left, self.after[name].relation.unit
-        text = f"{one.text}: {self.before[name].words}, by {rest:.3g} {unit} once that is corrected"
+        text = f"{one.text}: {self.before[name].words}; corrected, the difference is {rest:.3g} {unit}"
         advice = "correct the mapping of the import: " + ", ".join(f"`{line}`" for line in one.lines)
         advice += f"; or import {one.options}" if one.options else ""
         if rival is not None:

@@ -35,8 +35,8 @@ def make_report(
 ) -> dict[str, Any]:
     """Write the report of a results folder as one HTML file; returns its answer and the paths of the files.
 
-    figures: folder for the same figures as PDF, a file a panel, as wide as a column of the IEEE. baseline: a
-    controller. Raises UsageError or DataError, before anything is written.
+    figures: folder for the same figures as PDF, a file a panel, as wide as a column. baseline: a controller.
+    Raises UsageError or DataError, before anything is written.
     """
     out = check_output(out, force=force)
     if figures is not None:

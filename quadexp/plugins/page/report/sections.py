@@ -112,8 +112,8 @@ def numbers(comparison: Comparison) -> Section:
     blocks = [_number_block(comparison, metric) for metric in metrics if comparison.statistics.of(metric)]
     lead = (
         f"Means over the flights of a line that all compared controllers completed, with {comparison.confidence:.0%}"
-        " intervals in brackets. Beside them: the mean over all own completed flights (own), and the number of lost"
-        " flights."
+        " intervals in brackets. Beside them: the mean over all n flights that a controller completed (all n), and the"
+        " number of lost flights."
     )
     return Section("tables", "Numbers", "Numbers", lead, blocks)
 

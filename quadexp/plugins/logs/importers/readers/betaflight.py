@@ -123,7 +123,7 @@ def quantities(header: dict[str, Any], fields: Numbers) -> Numbers:
 
 def _columns(fields: Numbers, name: str, count: int | None) -> np.ndarray | None:
     """Columns name[0], name[1], .., (k, count); None where there are not so many. count: None: as many as there are."""
-    there = []
+    there: list[Any] = []
     while f"{name}[{len(there)}]" in fields:
         there.append(fields[f"{name}[{len(there)}]"])
     if not there or (count is not None and len(there) != count):
