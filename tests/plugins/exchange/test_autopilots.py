@@ -127,15 +127,15 @@ def test_an_interval_is_that_of_draws_from_the_fit():
 
 @pytest.mark.slow
 def test_intervals_contain_the_truth():
-    """Share of the square and full thrust at 4 V, of 60 vehicles with two flights each."""
+    """Share of the square and full thrust at 4 V, of 40 vehicles with two flights each."""
     truth = np.array([CURVE[1] / sum(CURVE), VEHICLE.mass * sum(CURVE)])
     inside = np.zeros(2)
-    for first in range(0, 120, 2):
+    for first in range(0, 80, 2):
         model = fit_vehicle_model(crazyflie_flights(2, first), VEHICLE, FitSettings(kinds=()), best="linear")
         known = known_of(VEHICLE, model)
         found = [known.quantity(lambda p: p.share, "1"), known.quantity(lambda p: p.full_thrust, "N")]
         inside += [abs(one.value - true) <= one.half_width for one, true in zip(found, truth, strict=True)]
-    assert np.all(inside / 60 >= 0.87), inside
+    assert np.all(inside >= 35), inside
 
 
 @pytest.mark.parametrize("to", ["px4", "px4_sih", "ardupilot", "betaflight"])
