@@ -205,9 +205,9 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
         """A model of the same kind and settings, fitted to other rows."""
         return self.part.fit(rows, intervals=False)
 
-    def described(self, report: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-        """What `quadexp show` says of it beside what all models have: JSON-able numbers, and lines. report: of its
-        fit."""
+    def described(self, report: Callable[[], Mapping[str, Any]]) -> tuple[dict[str, Any], list[str]]:
+        """What `quadexp show` says of it beside what all models have: JSON-able numbers, and lines. report: reads
+        that of its fit."""
         return {}, [f"drag        {self.linear_drag}"]  # type: ignore[attr-defined]  # of every kind
 
     @property

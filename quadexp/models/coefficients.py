@@ -10,7 +10,7 @@ its derivatives, the checkpoint. The checkpoint holds the numbers; the equation 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -130,7 +130,7 @@ class Coefficients(Model, frozen=True, tag="coefficients"):
     def numbers(self) -> dict[str, Any]:
         return {"coefficients": dict(zip(self.names, self.theta.tolist(), strict=True))}
 
-    def described(self, report: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    def described(self, report: Callable[[], Mapping[str, Any]]) -> tuple[dict[str, Any], list[str]]:
         """See Model; it needs no class."""
         equation = f"equation    {', '.join(self._terms())}"
         return self.numbers, [equation, *super().described(report)[1]]

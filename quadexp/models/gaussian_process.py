@@ -257,7 +257,7 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
         chosen = "; ".join(f"{o.output} <- {', '.join(o.features)}" for o in self.outputs)
         return f"Gaussian processes {chosen} ({self.settings['inducing']} points, {self.settings['method']})"
 
-    def described(self, report: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    def described(self, report: Callable[[], Mapping[str, Any]]) -> tuple[dict[str, Any], list[str]]:
         outputs, lines = {}, []
         for one in self.outputs:
             scales = one.lengthscale.tolist()

@@ -257,7 +257,7 @@ def _checkpoint(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise DataError(f"{file}: damaged ({error})") from None
     data = dict(model.dataset)
-    about, described = model.described(load_report(path))
+    about, described = model.described(lambda: load_report(path))
     summary = {
         "path": str(path), "kind": model.kind, "schema": record.get("schema"), "bytes": file.stat().st_size,
         "vehicle": dict(model.vehicle), "dataset": data, "settings": dict(getattr(model, "settings", {})),

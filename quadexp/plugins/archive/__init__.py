@@ -1,3 +1,3 @@
-"""`quadexp archive`: what a reviewer needs to fly a sweep again, in one file."""
+"""A sweep as one file: what a reviewer needs to fly it again."""
 
 BRINGS = {"commands": {"archive": "quadexp.plugins.archive.command:archive"}}

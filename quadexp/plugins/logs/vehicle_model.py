@@ -15,7 +15,7 @@ each fold, its thrust curve included.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -113,14 +113,14 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
         mean = TermMean(self.model(part), vehicle.mass)
         return term_residual(vehicle, mean.structure, mean.parameters, source, torque=True)
 
-    def described(self, report: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    def described(self, report: Callable[[], Mapping[str, Any]]) -> tuple[dict[str, Any], list[str]]:
         """See Model.described: coefficients with intervals, and models compared."""
         from quadexp.plugins.logs.lines import model_lines, selection_lines
 
         models = {kind: fitted.records() for kind, fitted in self.models.items()}
         lines = model_lines(self)
-        if report.get("selection"):
-            lines += selection_lines(report["selection"], report.get("best_row", self.best))
+        if (found := report()).get("selection"):
+            lines += selection_lines(found["selection"], found.get("best_row", self.best))
         lines += [f"note        {note}" for note in self.notes]
         return {"thrust": str(self.thrust), "best": self.best, "models": models}, lines
 

@@ -184,7 +184,7 @@ class NeuralModel(Model, frozen=True, tag="neural"):
     def numbers(self) -> dict[str, Any]:
         return {"lipschitz": self.lipschitz}
 
-    def described(self, report: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    def described(self, report: Callable[[], Mapping[str, Any]]) -> tuple[dict[str, Any], list[str]]:
         sizes = list(self.network.sizes)
         layers = "-".join(map(str, sizes))
         lines = [

@@ -2,9 +2,9 @@
 
 import pytest
 
-from quadexp.plugins import papers
 from quadexp.plugins.papers import ladder
 from quadexp.plugins.papers.ladder import means_by_place, means_figure, overview
+from quadexp.report import paper as papers
 from quadexp.report.metrics import METRICS
 
 ERRORS = {"clean": (0.2, 0.001), "only_late_estimate": (0.21, 0.04), "wind=constant": (0.4, 0.28)}  # m

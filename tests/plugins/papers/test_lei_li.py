@@ -8,10 +8,10 @@ from quadexp.experiment.evaluate import fly_one, result_row
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, write_flight
 from quadexp.parts.compose import compose
-from quadexp.plugins import papers
 from quadexp.plugins.papers import adaptation, families
 from quadexp.plugins.papers.ladder import means_by_place, means_figure, means_table
 from quadexp.plugins.papers.lei_li import report as lei_li
+from quadexp.report import paper as papers
 from tests.report.test_tables import row
 
 BENCH = ["vehicle=lei_li", "plant.backend=interpreted", "sensor=lei_li", "controller.backend=interpreted"]
