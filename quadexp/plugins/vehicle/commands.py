@@ -69,6 +69,6 @@ def fly(
     latency = about["latency_ms"]
     record = {"outcome": about["outcome"], "cause": about["cause"], "steps": len(flight), "latency_ms": latency}
     lines = [f"outcome     {about['outcome']} {about['cause']}".rstrip(), f"steps       {len(flight)}"]
-    lines += [f"answers     median {latency['p50']:.2f} ms, 99 % {latency['p99']:.2f} ms", *written]
+    lines += [f"answers     median {latency['p50']:.2f} ms, 99 % {latency['p99']:.2f} ms", *map(str, written)]
     wrong = [] if about["outcome"] == "ok" else [about["cause"]]
     return Answer(record, [record | latency], lines, failed=wrong)

@@ -102,5 +102,5 @@ def recorded(controller: Any, plant: Any, reference: SampledReference, rng: Any)
     """A flight of the reference, of at most MOST instants."""
     recorder = Recorder(controller, plant, MOST)
     with contextlib.suppress(Enough):
-        fly(plant, recorder, reference, rng)  # type: ignore[arg-type]  # a Controller, by __getattr__
+        fly(plant, recorder, reference, rng)
     return recorder

@@ -83,11 +83,12 @@ def _starts(controller: Any, x: np.ndarray, thrust: np.ndarray) -> Starts:
     """Memory and values by name, of every layer."""
     for layer in layers(controller):
         if isinstance(layer, ObservingMPC):
-            estimator = layer.inner.believed._estimator
+            inner: Any = layer.inner
+            estimator = inner.believed._estimator
             commands = np.tile(thrust, estimator.delays.pending)
             estimate = _traced(layer.part.begin, x)
             start = {"commands": commands, "thrust": thrust, "sent": thrust, "estimate": estimate}
-            yield layer.inner.believed.memory, start
+            yield inner.believed.memory, start
         elif isinstance(layer, Layer):
             start = at_start(layer.vehicle, layer.about, thrust) if "sent" in layer.memory.sizes else {}
             yield layer.memory, start | _traced(layer.part.start, Inputs(layer.vehicle, layer.about, ca.SX), x, thrust)

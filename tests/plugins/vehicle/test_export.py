@@ -226,6 +226,21 @@ def test_hold_is_an_equilibrium(folders: dict[str, Path]) -> None:
     assert np.allclose(c.vehicle.allocation @ window.input[0], [c.vehicle.mass * c.vehicle.gravity, 0, 0, 0])
 
 
+@pytest.mark.parametrize("name", ["mpc", "law"])
+def test_table_is_the_exported_reference(folders: dict[str, Path], name: str) -> None:
+    loop, c = python_loop(*CASES[name]), exported(folders[name])
+    rows, n = len(c.node_times), c.vehicle.n_rotors
+    values = np.zeros(13 * rows + n * max(rows - 1, 1) + 19)
+    for k in (0, 7, len(loop.times) - 1, len(loop.times) + 5):
+        c._library.qx_table(ctypes.c_void_p(values.ctypes.data), k)
+        window, expected = window_of(values, rows, n), loop._reference.window(min(k, len(loop.times) - 1))
+        assert np.array_equal(window.state, expected.state)
+        assert np.array_equal(window.input, expected.input)
+        if name == "law":
+            assert np.array_equal(window.position, expected.position)
+            assert np.array_equal(window.yaw, expected.yaw)
+
+
 class Turning:
     """A path with a heading that turns, faster and faster."""
 

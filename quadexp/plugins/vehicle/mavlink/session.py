@@ -194,9 +194,9 @@ class Session:
             if k >= len(loop.times):
                 return "ok", ""
             x[POSITION] -= shift
-            error = x[POSITION] - loop.reference_state(float(loop.times[k]))[POSITION]
-            if not np.linalg.norm(error) <= self.far:
-                return "lost", f"{np.linalg.norm(error):.1f} m from the reference at t={loop.times[k]:.2f} s"
+            away = np.linalg.norm(x[POSITION] - loop.reference_state(float(loop.times[k]))[POSITION])
+            if not away <= self.far:
+                return "lost", f"{away:.1f} m from the reference at t={loop.times[k]:.2f} s"
             try:
                 thrusts = loop.step(Measurement(float(loop.times[k]), x, self._force, None))
             except QuadexpError as failure:
