@@ -146,7 +146,7 @@ def test_another_vehicle_is_refused(folders: dict[str, Path]) -> None:
         flown("controller=exported", f"model={folders['law']}", "vehicle=crazyflie")
 
 
-# --------------------------------------------------------------------------------------------------- out of the ordinary
+# -------------------------------------------------------------------------------------------------- out of the ordinary
 def exported(folder: Path) -> ExportedController:
     config = compose(["vehicle=torrente"], None, "simulate")
     return ExportedController(folder, build_vehicle(config.vehicle))
