@@ -1,4 +1,4 @@
-# `make` sets everything up and runs the main job; `make test` sets up and runs the tests.
+# `make` sets everything up and runs the main job; `make test` sets up and runs the tests of the core, `make test-full` all.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -8,7 +8,7 @@ QUADEXP := $(BIN)/quadexp
 # One BLAS thread per process: the sweep fills the cores by itself.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: all setup quick test test-fast test-lowest test-python test-interpreted lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-ladder reproduce-sun reproduce-quick tuned leaderboard test-slow bench clean
+.PHONY: all setup quick test test-full test-fast test-lowest test-python test-interpreted lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-ladder reproduce-sun reproduce-quick tuned leaderboard test-slow bench clean
 
 all: quick
 
@@ -29,8 +29,13 @@ quick: $(STAMP)
 # One process more than there are cores: tests of sweeps and clusters wait much of their time.
 TEST_PROCESSES ?= $(shell echo $$(($$(nproc 2>/dev/null || echo 2) + 1)))
 # The processes that tests start read compiled modules, whatever the shell says of writing them.
-test test-fast test-interpreted test-slow: export PYTHONDONTWRITEBYTECODE :=
+test test-full test-fast test-interpreted test-slow: export PYTHONDONTWRITEBYTECODE :=
+# The core, that it works with any plug-in deleted, and every command of the documentation.
 test: $(STAMP)
+	$(BIN)/python -m pytest -n $(TEST_PROCESSES) --dist worksteal -m 'not slow' --ignore-glob='*/plugins/*/*' tests examples
+
+# These, and the tests of all plug-ins.
+test-full: $(STAMP)
 	$(BIN)/python -m pytest -n $(TEST_PROCESSES) --dist worksteal -m 'not slow' tests examples
 
 # Physics, properties, and a flight through every seam: a tenth of `test`.
@@ -41,7 +46,7 @@ test-fast: $(STAMP)
 # A selection with the lowest versions that pyproject.toml admits, in an environment of its own.
 LOWEST := $(VENV)-lowest
 SMOKE := tests/test_versions.py tests/log/test_store.py tests/parts/test_compose.py tests/models/test_contract.py \
-	tests/physics tests/report/test_animation.py tests/experiment/test_recorded.py tests/sweeps/test_results.py
+	tests/physics tests/plugins/page/test_animation.py tests/plugins/logs/test_recorded_flights.py tests/sweeps/test_results.py
 test-lowest:
 	$(PYTHON) -m venv $(LOWEST)
 	$(LOWEST)/bin/python -m pip install -qq --disable-pip-version-check --constraint constraints-lowest.txt \
@@ -58,8 +63,9 @@ test-python:
 # Dynamics, air, control step and worlds as on a machine without a compiler; what compiled code alone shows is skipped.
 test-interpreted: $(STAMP)
 	CC=none $(BIN)/python -m pytest -n $(TEST_PROCESSES) --dist worksteal -m 'not slow' \
-		tests/physics tests/models/test_residuals.py tests/models/test_online.py tests/models/test_terms.py \
-		tests/control tests/world tests/reference
+		tests/physics tests/models/test_residuals.py tests/plugins/remedies/test_online.py tests/models/test_terms.py \
+		tests/control tests/world tests/reference \
+		tests/plugins/remedies tests/plugins/auto tests/plugins/worlds tests/plugins/foreign tests/plugins/papers
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -71,10 +77,10 @@ docs: $(STAMP)
 	$(BIN)/python docs/site/build.py
 
 # How much of the core the default tests reach; they assert physics, so a line that is reached is a line that is checked.
-CORE := physics control world reference models
+CORE := physics control world reference models plugins/remedies plugins/auto plugins/worlds plugins/papers
 coverage: $(STAMP)
-	$(BIN)/python -m pytest -n auto -m 'not slow' tests/properties tests/experiment/test_lei_li.py tests/compile/test_backend.py \
-		$(CORE:%=tests/%) $(CORE:%=--cov=quadexp.%) --cov-report=term-missing:skip-covered --cov-fail-under=95
+	$(BIN)/python -m pytest -n auto -m 'not slow' tests/properties tests/plugins/papers/test_lei_li_flights.py tests/compile/test_backend.py \
+		$(CORE:%=tests/%) $(subst /,.,$(CORE:%=--cov=quadexp.%)) --cov-report=term-missing:skip-covered --cov-fail-under=95
 
 # The two papers at full size, with figures.
 reproduce: reproduce-torrente reproduce-lei-li

@@ -39,12 +39,12 @@ from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.parts.compose import compose, session
 from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.papers.lei_li.plant import BladeElementPlant
 from quadexp.reference.circle import Circle
 from quadexp.reference.random_polynomial import RandomPolynomial
 from quadexp.sweeps.engine import Workers
 from quadexp.sweeps.sweep import run_sweep
 from quadexp.world import SimplifiedPlant
-from quadexp.world.blade_element import BladeElementPlant
 
 PARTS = ("step", "plant", "flight", "waiting", "commands")
 CASES = ("none", "gp20", step.PLAIN)

@@ -32,8 +32,8 @@ from quadexp.experiment.evaluate import InfeasibleError, check_feasible, fly_one
 from quadexp.log.schema import Flight
 from quadexp.parts.compose import compose
 from quadexp.parts.schema import Config
+from quadexp.plugins.auto.beliefs import beliefs, truths
 from quadexp.provenance import sources
-from quadexp.report.beliefs import beliefs, truths
 from quadexp.report.metrics import position_error
 from quadexp.world.true_vehicle import with_factors
 

@@ -24,22 +24,22 @@ import numpy as np
 
 from benchmarks.machine import cores, machine, pin
 from benchmarks.step import make_residual
-from quadexp.control.auto.around_mpc import AutoMPC
 from quadexp.control.base import Controller, Measurement
-from quadexp.control.delay.prediction import Prediction
-from quadexp.control.delay.strapdown import KnownDelay, Strapdown
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
-from quadexp.control.mpc.online_mpc import AdaptingController, AdaptKeys
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.control.observers.disturbance import DisturbanceObserver
-from quadexp.control.observers.wind import WindObserver
 from quadexp.experiment.build import build_vehicle, build_world
 from quadexp.loop import ControlLoop
 from quadexp.models.terms import adapting_terms
 from quadexp.parts.compose import compose
 from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.auto.around_mpc import AutoMPC
+from quadexp.plugins.remedies.delay.prediction import Prediction
+from quadexp.plugins.remedies.delay.strapdown import KnownDelay, Strapdown
+from quadexp.plugins.remedies.observers.disturbance import DisturbanceObserver
+from quadexp.plugins.remedies.observers.wind import WindObserver
+from quadexp.plugins.remedies.online_mpc import AdaptingController, AdaptKeys
 from quadexp.reference.circle import Circle
 
 CASE = "gp20"

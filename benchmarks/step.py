@@ -49,7 +49,6 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference
 from quadexp.loop import ControlLoop
-from quadexp.models.blade_element import blade_element_residual
 from quadexp.models.gaussian_process import gaussian_process_residual, mean_only
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import Residual, no_residual
@@ -57,10 +56,11 @@ from quadexp.parts.compose import compose
 from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.papers.lei_li.blade_element import blade_element_residual
+from quadexp.plugins.papers.lei_li.plant import BladeElementPlant
 from quadexp.reference.circle import Circle
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.base import Plant
-from quadexp.world.blade_element import BladeElementPlant
 
 CASES = ("none", "drag", "gp20", "gp100", "blade_element")
 PLAIN = "blade_element"  # acados gets the plain model here: what does knowing the rotors cost?

@@ -20,18 +20,17 @@ from typing import Any, Literal, get_origin
 import pandas as pd
 
 from quadexp import requests
-from quadexp.bench import Bench
 from quadexp.errors import UsageError
-from quadexp.frames import Checkpoint, Dataset, Flight, Frame, Leaderboard, Results, Tuning
+from quadexp.frames import Checkpoint, Dataset, Flight, Frame, Results
 from quadexp.log.store import read_flight, read_metadata, read_table, write_table
 from quadexp.names import SPELLINGS
 from quadexp.parts.options import Folders, Place, given_folders
 from quadexp.parts.override import GROUPS, MOST_CELLS, in_grammar
 from quadexp.parts.schema import Config
 from quadexp.parts.settings import S, declared
+from quadexp.plugin import brought
 from quadexp.progress import Progress
 from quadexp.requests import RESULTS
-from quadexp.tune import Tune
 
 Given = str | Mapping[str, Any]
 SINGLE = (str, os.PathLike, pd.DataFrame)  # what stands for a list of itself, where several are taken
@@ -69,7 +68,7 @@ def collect(
     path = _path(out) or scratch / "residuals.parquet"
     several = [flights] if isinstance(flights, SINGLE) else flights
     recorded = [_file(flight, scratch, f"flight_{i:03d}") for i, flight in enumerate(several)]
-    with _shown("seconds of flight", progress) as shown:
+    with progress_of("seconds of flight", progress) as shown:
         texts = overrides(settings, keywords, "collect")
         requests.collect(texts, path, conf, flights=recorded, force=force, progress=shown)
     return Dataset.of(*read_table(path, "residuals"))
@@ -93,7 +92,7 @@ def fit(
     """
     scratch = Scratch()
     path = _path(out) or scratch / model
-    with _shown("fit", progress) as shown:
+    with progress_of("fit", progress) as shown:
         file, texts = _file(data, scratch, "residuals"), overrides(settings, keywords, "model")
         requests.fit(model, file, texts, path, conf, force=force, figures=False, progress=shown)
     return Checkpoint(path, scratch if out is None else None)
@@ -134,63 +133,14 @@ def sweep(
     texts = overrides(settings, keywords, lists=True)
     swept = requests.evaluate(
         texts, Path(folder), conf, figures=False, old=old, force=force,
-        progress=lambda below: _shown("flights", progress),
+        progress=lambda below: progress_of("flights", progress),
     )  # fmt: skip
     results = _results(folder)
     results.attrs["notes"] = swept.result.notes
     return results
 
 
-def tune(
-    *settings: Given, out: Place | None = None, conf: Folders = None, force: bool = False,
-    progress: bool = False, **keywords: Any,
-) -> Tuning:  # fmt: skip
-    """Choose settings of a controller by flights, as `quadexp tune`.
-
-    settings, keywords: the cells of a trial, lists as in `sweep`; keywords that are keys of `quadexp.tune.Tune`, such
-    as vary="KEY=LOW..HIGH" or flights=200, are of the search. out: a folder, where a search goes on that was
-    interrupted; else the options are kept for as long as the table.
-    Returns a row a trial, the first one as it was; `choice` names what was found, `settings` what it changes.
-    Raises UsageError where the budget does not pay two trials, or several controllers are asked for.
-    """
-    from quadexp.tune.call import HISTORY
-    from quadexp.tune.call import tune as tuned_by
-
-    folder, asked = Scratch() if out is None else Path(out), _request(Tune, keywords)
-    place: dict[str, Any] = {"out": Path(folder), "conf": conf, "force": force, "figure": out is not None}
-    with _shown("flights", progress) as shown:
-        tuned = tuned_by(overrides(settings, keywords, lists=True), asked, **place, progress=shown)
-    table = Tuning.of(*read_table(Path(folder) / HISTORY, "tuning"), folder)
-    table.attrs |= {"best": tuned.best, "choice": tuned.choice, "lines": list(tuned.lines)}
-    table.attrs["settings"] = dict(tuned.record["settings"])
-    return table
-
-
-def bench(
-    *settings: Given, out: Place | None = None, conf: Folders = None, progress: bool = False, **keywords: Any
-) -> Leaderboard:
-    """Rank controllers by a protocol that does not change, as `quadexp bench`.
-
-    settings: of engine and evaluate only. keywords: keys of `quadexp.bench.Bench`, such as size="standard" or
-    controllers=["NAME KEY=VALUE"], and of evaluate. out: a folder, where a run goes on that was interrupted; else the
-    flights are kept as long as the table.
-    Returns a row a flight; `boards` has the tables of ranks by family.
-    Raises UsageError before anything is flown, also for results of another protocol. A flight that failed is a row with
-    its cause, and counts as lost.
-    """
-    from quadexp.bench.board import FILE
-    from quadexp.bench.run import bench as ranked_by
-
-    folder, asked = Scratch() if out is None else Path(out), _request(Bench, keywords)
-    with _shown("flights", progress) as shown:
-        texts = overrides(settings, keywords, "evaluate")
-        board = ranked_by(texts, asked, out=Path(folder), conf=conf, progress=shown)
-    table = Leaderboard.of(*read_table(Path(folder) / FILE, "leaderboard"), folder)
-    table.attrs["notes"] = [*board.notes, *board.failed]
-    return table
-
-
-def _request(kind: type[S], keywords: dict[str, Any]) -> S:
+def request_of(kind: type[S], keywords: dict[str, Any]) -> S:
     """The record of a request, whose keys are taken from the keywords; one value stands for a list of one."""
     given = {name: keywords.pop(name) for name in declared(kind) if name in keywords}
     for name, value in given.items():
@@ -221,8 +171,8 @@ def load(path: Place, conf: Folders = None) -> Flight | Dataset | Results | Chec
     if kind == "flight":
         flight = read_flight(path)
         return Flight.of(flight.columns, flight.metadata)
-    kinds = {"residuals": Dataset, "tuning": Tuning, "leaderboard": Leaderboard}
-    return kinds.get(kind, Frame).of(*read_table(path, kind))
+    table = brought("tables", kind) or (Dataset if kind == "residuals" else Frame)
+    return table.of(*read_table(path, kind))
 
 
 # ---------------------------------------------------------------------------------------------------------------- files
@@ -265,7 +215,7 @@ def _file(given: Place | pd.DataFrame, scratch: Scratch, name: str) -> Path:
     return write_table(scratch / f"{name}.parquet", given.columns_as_arrays(), given.record, given.kind)
 
 
-def _shown(label: str, wanted: bool) -> Any:
+def progress_of(label: str, wanted: bool) -> Any:
     """Progress where it is asked for, as a context."""
     return Progress(label) if wanted else contextlib.nullcontext(requests.quiet)
 

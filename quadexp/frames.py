@@ -24,6 +24,7 @@ from quadexp.log.store import read_flight, write_table
 from quadexp.messages import html
 from quadexp.models.checkpoint import load_model, load_report
 from quadexp.names import sha256_of
+from quadexp.plugin import service
 from quadexp.writer import check_output
 
 if TYPE_CHECKING:
@@ -135,14 +136,12 @@ class Flight(Frame):
 
     def plot(self, *columns: str) -> Any:
         """A matplotlib figure: the named columns over time, or path, position error and thrusts."""
-        from quadexp.report.flight_figures import flights_figure, over_time
-
         missing = [name for name in columns or ("t", "p_x", "p_y", "p_z", "v_x", "v_y", "v_z") if name not in self]
         if missing:
             raise UsageError(f"the flight has no column {missing[0]!r} to draw")
         if columns:
-            return over_time(self.arrays(), columns, self.attrs.get("units", {}))
-        return flights_figure({str(self.record.get("controller") or "flown"): self.arrays()})
+            return service("over_time", "plot")(self.arrays(), columns, self.attrs.get("units", {}))
+        return service("flights_figure", "plot")({str(self.record.get("controller") or "flown"): self.arrays()})
 
 
 class Dataset(Frame):
@@ -216,14 +215,13 @@ class Results(Frame):
         Without keys, what was swept chooses: error against speed, a panel a trajectory, a line a controller. by: a key
         for the lines. facet: for the panels. metric: a number of the flights.
         """
-        from quadexp.report.draw import figure_of
         from quadexp.report.frame import SweepFrame
-        from quadexp.report.view import view
 
         frame = SweepFrame(self.rows(), os.fspath(self._folder or "."), self.record)
         lines, panels = ([keys] if isinstance(keys, str) else keys for keys in (by, facet))
         options: dict[str, Any] = {"x": x, "by": lines, "facet": panels, "kind": kind}
-        return figure_of(view(frame, y=metric or self._metric(None), **options))
+        view = service("view", "plot")(frame, y=metric or self._metric(None), **options)
+        return service("figure_of", "plot")(view)
 
     def flight(self, row: int = 0) -> Flight:
         """The flight of a row, counted from 0 in this table: results[results["controller"] == "gp_mpc"].flight(0)."""
@@ -251,64 +249,6 @@ class Results(Frame):
 
     def _repr_html_(self) -> str:
         return self.table()._repr_html_() if self._is_whole() else super()._repr_html_()
-
-
-class Tuning(Frame):
-    """A search for settings, a row a trial: error (m), lost flights, and the value of each setting that was varied."""
-
-    kind = "tuning"
-
-    @property
-    def best(self) -> int:
-        """Place in this table of the trial that was chosen, however it was sorted; UsageError where it is not there."""
-        least = self.loc[self["value"] == self["value"].min(), "trial"].min()
-        places = np.flatnonzero(self["trial"] == self.attrs.get("best", least))
-        if not len(places):
-            raise UsageError("the trial that was chosen is not among these rows")
-        return int(places[0])
-
-    @property
-    def choice(self) -> str:
-        """The overrides that choose what was found, as "controller=NAME_tuned"."""
-        return str(self.attrs.get("choice", ""))
-
-    @property
-    def settings(self) -> dict[str, tuple[Any, Any]]:
-        """Key -> its value before and after."""
-        return dict(self.attrs.get("settings", {}))
-
-    @property
-    def folder(self) -> Path | None:
-        """The configuration folder with the options: qx.simulate(*tuned.choice.split(), conf=tuned.folder)."""
-        return None if self._folder is None else Path(self._folder)
-
-    def summary(self) -> list[str]:
-        return list(self.attrs.get("lines", ())) or [f"tuning: {len(self)} trials"]
-
-
-class Leaderboard(Frame):
-    """Flights of a protocol, a row each. In a notebook it shows the ranks."""
-
-    kind = "leaderboard"
-
-    @property
-    def notes(self) -> list[str]:
-        """Who has no part, and why."""
-        return list(self.attrs.get("notes", self.record.get("notes", ())))
-
-    @property
-    def boards(self) -> dict[str, Table]:
-        """Name of a family of tasks -> the table of its ranks, best first."""
-        from quadexp.bench.board import board_table, families_of
-        from quadexp.bench.protocol import read_protocol
-        from quadexp.report.metrics import from_columns
-
-        rows, protocol = from_columns(self.columns_as_arrays()), read_protocol()
-        options = {"metric": protocol.metric, "baseline": protocol.baseline}
-        return {name: board_table(of_family, title=name, **options) for name, of_family in families_of(rows).items()}
-
-    def summary(self) -> list[str]:
-        return [f"leaderboard: {len(self)} flights of {self['entry'].nunique()} entries"]
 
 
 class Checkpoint:

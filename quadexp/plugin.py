@@ -1,7 +1,8 @@
-"""What can be brought from outside: commands, readers of logs, sections of the report page, papers.
+"""What plug-ins bring: commands, kinds of models, figures, readers of logs, sections of the report page, papers.
 
-Each is a seam: names, and where each is found, as text. This program states its own in BRINGS below; an installed
-package states its own in a mapping of the same form, in a module that an entry point names:
+Each is a seam: names, and where each is found, as text. The core of this program states its own in BRINGS below. Each
+folder of quadexp/plugins, which may be deleted, states its own in a mapping of the same form in its __init__.py; so
+does an installed package, in a module that an entry point names:
 
     [project.entry-points."quadexp.plugins"]
     my_lab = "my_lab"
@@ -9,11 +10,22 @@ package states its own in a mapping of the same form, in a module that an entry 
     # in the module my_lab
     BRINGS = {"commands": {"laps": "my_lab:laps"}, "sections": {"laps": "my_lab:lap_section"}}
 
-What a place must be: of "commands" a command (quadexp/cli/command.py), of "readers" a module, or another object, with
-what quadexp/log/importers/readers asks for, of "sections" a function of a Page (quadexp/report/page), of "papers" a
-module with what quadexp/papers asks for. A name of this program is looked for first, so that what ships needs no look
-at what is installed. That look reads the files entry_points.txt of sys.path itself: importlib.metadata, which does the
-same, takes as long to import as all the rest of `quadexp --help`.
+What a place must be:
+
+    commands   a command (quadexp/cli/command.py)
+    parts      a module, or a package, with parts of flights that options name
+    models     a module with the records of a kind of models (quadexp/models/base.py)
+    api        a name of the Python API (quadexp/__init__.py)
+    tables     the Frame of a kind of files (quadexp/frames.py)
+    services   a function that the core asks for, where it is there (see who asks)
+    papers     a module with what quadexp/report/paper.py asks for
+    readers    a module, or another object, with what quadexp/plugins/logs/importers/readers asks for
+    sections   a function of a Page (quadexp/plugins/page/report)
+    exports    a function as `quadexp export` calls it for models and vehicles (quadexp/cli/look.py)
+
+A name of this program is looked for first, so that what ships needs no look at what is installed. That look reads the
+files entry_points.txt of sys.path itself: importlib.metadata, which does the same, takes as long to import as all the
+rest of `quadexp --help`.
 """
 
 from __future__ import annotations
@@ -21,60 +33,65 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from quadexp.errors import ModuleError, UsageError
 
-ENTRY_POINTS = "quadexp.plugins"  # group of the entry points
+ENTRY_POINTS = "quadexp.plugins"  # group of the entry points, and the package of the plug-ins that ship
+FOLDER = Path(__file__).parent / "plugins"
 BRINGS: dict[str, dict[str, str]] = {
     "commands": {
         "simulate": "quadexp.cli.fly:simulate",
         "evaluate": "quadexp.cli.fly:evaluate",
-        "tune": "quadexp.cli.fly:tune",
-        "bench": "quadexp.cli.fly:bench",
-        "import": "quadexp.cli.logs:import_",
-        "check": "quadexp.cli.logs:check",
         "collect": "quadexp.cli.learn:collect",
         "fit": "quadexp.cli.learn:fit",
         "fit-gp": "quadexp.cli.learn:fit_gp",
         "fit-drag": "quadexp.cli.learn:fit_drag",
-        "fit-nn": "quadexp.cli.learn:fit_nn",
-        "identify": "quadexp.cli.learn:identify",
-        "validate": "quadexp.cli.learn:validate",
         "show": "quadexp.cli.look:show",
         "compare": "quadexp.cli.look:compare",
         "results": "quadexp.cli.look:results",
-        "plot": "quadexp.cli.look:plot",
-        "report": "quadexp.cli.look:report",
-        "animate": "quadexp.cli.look:animate",
         "export": "quadexp.cli.look:export",
-        "export-controller": "quadexp.plugins.vehicle.commands:export_controller",
-        "fly": "quadexp.plugins.vehicle.commands:fly",
         "options": "quadexp.cli.extend:options",
         "new": "quadexp.cli.extend:new",
         "cache": "quadexp.cli.extend:cache",
     },
-    "readers": {  # the most general last: to it any text is a table
-        "rosbag": "quadexp.log.importers.readers.rosbag",
-        "ulog": "quadexp.log.importers.readers.ulog",
-        "csv": "quadexp.log.importers.readers.csv",
+    "parts": {},
+    "models": {
+        "coefficients": "quadexp.models.coefficients",
+        "linear_drag": "quadexp.models.linear_drag",
+        "gaussian_process": "quadexp.models.gaussian_process",
     },
-    "sections": {
-        "numbers": "quadexp.report.page.sections:numbers_section",
-        "swept": "quadexp.report.page.sections:swept_section",
-        "worst": "quadexp.report.page.sections:worst_section",
-        "origin": "quadexp.report.page.sections:origin_section",
-    },
-    "papers": {
-        "adaptation": "quadexp.papers.adaptation",
-        "families": "quadexp.papers.families",
-        "ladder": "quadexp.papers.ladder",
-        "lei_li": "quadexp.papers.lei_li",
-        "sun": "quadexp.papers.sun",
-    },
+    "api": {},
+    "tables": {},
+    "services": {},
+    "papers": {},
 }
+
+
+@cache
+def shipped_plugins() -> tuple[str, ...]:
+    """Names of the plug-ins that ship and are there."""
+    folders = os.listdir(FOLDER) if FOLDER.is_dir() else []
+    return tuple(sorted(name for name in folders if (FOLDER / name / "__init__.py").is_file()))
+
+
+@cache
+def _shipped() -> dict[str, dict[str, str]]:
+    """Seam -> name -> place of what this program brings: its core, then its plug-ins."""
+    seams = {seam: dict(named) for seam, named in BRINGS.items()}
+    for plugin in shipped_plugins():
+        brings: Mapping[str, Mapping[str, str]] = importlib.import_module(f"{ENTRY_POINTS}.{plugin}").BRINGS
+        for seam, named in brings.items():
+            seams.setdefault(seam, {}).update(named)
+    return seams
+
+
+def shipped_places(seam: str) -> dict[str, str]:
+    """Name -> place of what this program itself brings to a seam; nothing where no plug-in that is there opens it."""
+    return _shipped().get(seam, {})
 
 
 def places(seam: str) -> dict[str, str]:
@@ -82,17 +99,17 @@ def places(seam: str) -> dict[str, str]:
 
     Raises UsageError where two bring the same name, or one is not of the form above.
     """
-    return BRINGS[seam] | {name: place for name, (place, _) in _outside()[seam].items()}
+    return shipped_places(seam) | {name: place for name, (place, _) in _outside().get(seam, {}).items()}
 
 
 def brought(seam: str, name: str) -> Any:
     """What a name of a seam stands for; None where there is none.
 
     Raises ModuleError or UsageError where it cannot be imported."""
-    place = BRINGS[seam].get(name)
+    place = BRINGS.get(seam, {}).get(name) or shipped_places(seam).get(name)
     if place is not None:
         return _found(place)
-    if name not in _outside()[seam]:
+    if name not in _outside().get(seam, {}):
         return None
     place, point = _outside()[seam][name]
     said = f"entry point {point!r} of {ENTRY_POINTS}: {seam}: {name}: {place}"
@@ -102,6 +119,16 @@ def brought(seam: str, name: str) -> Any:
         raise ModuleError(f"{said}: {error}") from None
     except AttributeError as error:
         raise UsageError(f"{said}: {error}") from None
+
+
+def service(name: str, wanted: str) -> Any:
+    """What a plug-in does for the core. wanted: what was asked for, for the message.
+
+    Raises UsageError where no plug-in brings it."""
+    found = brought("services", name)
+    if found is None:
+        raise UsageError(f"{wanted}: no plug-in that is there brings {name!r} (quadexp/plugins)")
+    return found
 
 
 def _found(place: str) -> Any:
@@ -114,7 +141,8 @@ def _found(place: str) -> Any:
 @cache
 def _outside() -> dict[str, dict[str, tuple[str, str]]]:
     """Seam -> name -> place and entry point, of what installed packages bring."""
-    seams: dict[str, dict[str, tuple[str, str]]] = {seam: {} for seam in BRINGS}
+    shipped = _shipped()
+    seams: dict[str, dict[str, tuple[str, str]]] = {seam: {} for seam in shipped}
     for point, module in sorted(entry_points(ENTRY_POINTS).items()):
         said = f"entry point {point!r} of {ENTRY_POINTS}"
         try:
@@ -128,7 +156,7 @@ def _outside() -> dict[str, dict[str, tuple[str, str]]]:
             if seam not in seams:
                 raise UsageError(f"{said}: BRINGS[{seam!r}]: no such seam; there are {', '.join(seams)}")
             for name, place in dict(named).items():
-                if name in BRINGS[seam] or name in seams[seam]:
+                if name in shipped[seam] or name in seams[seam]:
                     raise UsageError(f"{said}: BRINGS[{seam!r}]: {name!r} is taken: choose another name")
                 if not isinstance(place, str):
                     raise UsageError(f"{said}: BRINGS[{seam!r}][{name!r}]: must be a text MODULE:ATTRIBUTE")

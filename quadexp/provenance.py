@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import quadexp
 from quadexp.names import sha256_of
+from quadexp.plugin import shipped_places
 
 PACKAGES = (
     "casadi", "numpy", "scipy", "pandas", "pyarrow", "torch", "gpytorch", "hydra-core", "minsnap-trajectories",
@@ -34,7 +35,9 @@ MODULES = {
 }  # import names that differ from the package name
 
 FLYING = "quadexp.experiment.evaluate"  # flies a cell and makes its row
-ROOMS = ("control", "models", "physics", "reference", "world")  # what configurations and checkpoints name is in these
+ROOMS = ("control", "models", "physics", "reference", "world")  # what configurations and checkpoints name is in these,
+PLUGINS = "plugins"  # or in plug-ins, where an option or a checkpoint names it
+REPORTS = ("report", "page")  # rooms that report numbers
 SHORT = 12  # hex digits of a hash that people read
 SETTLED = 2_000_000_000  # ns after a change within which another one may leave the same times: the coarsest disks
 RESULTS = ("asked.json", "results.parquet")  # files in folders that a sweep writes
@@ -194,13 +197,20 @@ def _deciding_modules(folder: Path) -> dict[str, Path]:
     """Those that can decide a number: of what reports one, only what makes a row."""
     modules = shipped_modules(folder)
     flying, _ = follow([FLYING], modules.get)
-    return {name: path for name, path in modules.items() if name in flying or name.split(".")[1] != "report"}
+    return {name: path for name, path in modules.items() if name in flying or _room(name) not in REPORTS}
+
+
+def _room(module: str) -> str:
+    """The room, or the plug-in, that a module of this package is in."""
+    places = module.split(".")[1:]
+    return places[1] if places[0] == PLUGINS and len(places) > 1 else places[0]
 
 
 @cache
 def model_modules(folder: Path) -> frozenset[str]:
     """Modules of models; one is imported by the kind that a checkpoint names."""
-    return frozenset(name for name in shipped_modules(folder) if name.startswith("quadexp.models."))
+    core = {name for name in shipped_modules(folder) if name.startswith("quadexp.models.")}
+    return frozenset(core | set(shipped_places("models").values()))
 
 
 @cache
@@ -235,8 +245,11 @@ def program_of(modules: frozenset[str]) -> Program:
 @cache
 def sources() -> str:
     """Hash of the sources that can determine a flight, 12 hex digits; computed once per process."""
-    rooms = {name for name in shipped_modules(package_folder()) if name.split(".")[1] in ROOMS}
-    return program_of(frozenset({FLYING, *rooms})).sources
+    folder = package_folder()
+    modules, parts = shipped_modules(folder), shipped_places("parts").values()
+    rooms = {name for name in modules if _room(name) in ROOMS}
+    rooms |= {name for name in modules if any(f"{name}.".startswith(f"{place}.") for place in parts)}
+    return program_of(frozenset({FLYING, *rooms, *model_modules(folder)})).sources
 
 
 @cache

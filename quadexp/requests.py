@@ -14,8 +14,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from quadexp.errors import DataError, UsageError
+from quadexp.errors import UsageError
 from quadexp.names import file_name
+from quadexp.plugin import brought, service, shipped_places
 from quadexp.writer import check_output
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ Progress = Callable[[float, float], None]
 Overrides = Sequence[str]
 FIGURES = 5  # of a usual sweep
 SAMPLED = 200  # cells that are looked at for what their flights import
-DRAWING = ("quadexp.report.flight_figures", "matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
+DRAWING = ("matplotlib.backends.backend_svg", "matplotlib.backends.backend_agg")
 FOREIGN = (".csv", ".json", ".txt", ".mcap", ".ulg", ".h5")  # formats that a flight is exported to, or imported from
 RESULTS = "results.parquet"  # in a folder of results
 
@@ -76,6 +77,21 @@ def simulate(
     return Flown(flight, path, [note for note in notes if note])
 
 
+class NoFigures(contextlib.AbstractContextManager["NoFigures"]):
+    """Where no plug-in draws the figures of a sweep."""
+
+    failed: Mapping[str, str] = {}
+
+    def __init__(self, *about: Any) -> None: ...
+
+    def __exit__(self, *error: object) -> None: ...
+
+    def begin(self, rows: Any, record: Any = None) -> None: ...
+
+    def end(self) -> dict[str, str]:
+        return {}
+
+
 class Swept(NamedTuple):
     """A sweep that was flown. result: rows and tables (quadexp/sweeps/sweep.py). metric: of its table. out: its folder.
     files: figures and tables by name. lines: of a paper's own table, none for that of all controllers. notes: what to
@@ -119,10 +135,13 @@ def evaluate(
         metrics = composer.every("metric")
     first = cells[0].config
     out = out or Path("results") / _results_name(overrides, first, sweep)
-    from quadexp import papers
+    from quadexp.report import paper as papers
 
     papers.check(first.evaluate.figures)
-    figures = sweep if figures is None else figures
+    drawn_by = brought("services", "sweep_figures")
+    if figures is None:
+        figures = sweep and drawn_by is not None
+    drawn_by = service("sweep_figures", "--figures") if figures else drawn_by or NoFigures
     sample = cells[:SAMPLED]
     preload = _preload(sample, figures)
     if sweep and first.engine.kind == "local" and not (out / RESULTS).exists():
@@ -133,21 +152,19 @@ def evaluate(
     from quadexp.report.metrics import declare_parts
     from quadexp.report.notes import invalid_text
     from quadexp.sweeps.engine import Workers
-    from quadexp.sweeps.figures import SweepFigures
     from quadexp.sweeps.plan import too_few_seeds
-    from quadexp.sweeps.sweep import build_engine, run_sweep
-    from quadexp.sweeps.watch import Watch
+    from quadexp.sweeps.sweep import run_sweep
 
     declare_parts(metrics)
     settings = first.evaluate
     if few := too_few_seeds(getattr(cells, "grids", ()), settings.baseline, settings.confidence):
         say(f"note: {few}")
-    watching = Watch(out, settings.metric) if watch else None
+    watching = service("watch", "--watch")(out, settings.metric) if watch else None
     shown = progress or (lambda below: contextlib.nullcontext(quiet))
     with (
         watching or contextlib.nullcontext(),
         Workers(settings.workers, settings.memory or None, preload, calls=FIGURES if figures else 1) as processes,
-        SweepFigures(out, processes if sweep else None, settings.metric, settings.confidence) as drawn,
+        drawn_by(out, processes if sweep else None, settings.metric, settings.confidence) as drawn,
         shown((lambda: watching.shot().table().rich()) if watching else None) as counted,
     ):
         if watching:
@@ -158,7 +175,7 @@ def evaluate(
             metric=settings.metric,
             baseline=settings.baseline,
             confidence=settings.confidence,
-            engine=build_engine(first, processes),
+            engine=first.engine.build(settings, processes),
             force=force,
             old=old,
             isolate=sweep,
@@ -201,7 +218,8 @@ def _preload(cells: Sequence[Any], figures: bool) -> list[str]:
 
     parts = (part for cell in cells for part in (cell.config.trajectory, cell.config.controller))
     needed = {type(part).__module__ for part in parts if part.shipped}
-    return [*PRELOAD, *sorted(needed), *(DRAWING if figures else ())]
+    drawing = [shipped_places("services")["flights_figure"].partition(":")[0], *DRAWING] if figures else []
+    return [*PRELOAD, *sorted(needed), *drawing]
 
 
 def _flight_name(config: Config) -> str:
@@ -271,106 +289,6 @@ def fit(
         config, part = composer.fitted(model, overrides)
     path = check_output(out, force=force, folder=True)
     return dict(fit_checkpoint(part, config, dataset, path, force=force, **options))
-
-
-def identify(
-    flights: Sequence[Path],
-    out: Path,
-    conf: Folders = None,
-    *,
-    chosen: Callable[[str, str], None] = lambda method, reason: None,
-    method: str | None = None,
-    vehicle: str | None = None,
-    settings: Mapping[str, Any],
-    figures: bool = True,
-    figure: Path | None = None,
-    force: bool = False,
-) -> dict[str, Any]:
-    """Identify a vehicle from its flights. chosen: is told the method that is taken, and why. settings: of the
-    regression (models.vehicle_model.FitSettings). The report has `method`, and what this method gives."""
-    from quadexp.experiment.identify import choose_method, identify_files
-    from quadexp.experiment.vehicle_of import vehicle_named
-
-    named = None if vehicle is None else vehicle_named(vehicle, conf)
-    choice = choose_method(flights, method, named)
-    chosen(choice.method, choice.reason)
-    if choice.method == "delays":
-        from quadexp.experiment.delays import identify_delays
-
-        return {"method": "delays", **identify_delays(flights, named, conf, figure)}
-    if choice.method == "rls":
-        estimates = identify_files(flights, out, vehicle=vehicle, conf=conf, force=force)
-        records = [{"path": path, **estimate.metadata()} for path, estimate in estimates]
-        lines = [line for path, estimate in estimates for line in (*estimate.lines(), path)]
-        return {"method": "rls", "out": out, "flights": records, "lines": lines}
-
-    from quadexp.experiment.identify import identify_flights
-    from quadexp.models.vehicle_model import FitSettings
-
-    regression = FitSettings(**settings)
-    return dict(identify_flights(flights, out, named, regression, force=force, figures=figures, conf=conf))
-
-
-class Checked(NamedTuple):
-    """A flight that was checked. vehicle: its name, None for one that is not known. findings: the worst first."""
-
-    path: str
-    flight: Flight
-    vehicle: str | None
-    findings: list[Any]
-
-    @property
-    def duration(self) -> float:
-        """s, from the first row to the last."""
-        return float(self.flight.t.max() - self.flight.t.min()) if len(self.flight) else 0.0
-
-    @property
-    def severities(self) -> set[str]:
-        return {finding.severity for finding in self.findings}
-
-
-def check(paths: Sequence[Path], vehicle: str | None = None, conf: Folders = None) -> list[Checked]:
-    """Check recorded flights. vehicle: of the configuration, not the flight's own."""
-    from quadexp.log.check import check_flights
-    from quadexp.log.schema import Flight
-    from quadexp.log.store import check_whole, read_table
-
-    flights: dict[str, Flight] = {}
-    for path in map(str, paths):
-        if path in flights:
-            raise UsageError(f"{path}: given twice")
-        flights[path] = Flight(*read_table(path, "flight", required=("t",)))
-        check_whole(flights[path].metadata, path)
-    vehicles = {path: _vehicle_of(flight, vehicle, conf) for path, flight in flights.items()}
-    return [
-        Checked(path, flights[path], getattr(vehicles[path], "name", None), _with_import(now, flights[path]))
-        for path, now in check_flights(flights, vehicles).items()
-    ]
-
-
-def _vehicle_of(flight: Flight, name: str | None, conf: Folders) -> Any:
-    from quadexp.experiment.vehicle_of import own_vehicle, vehicle_named
-
-    if name is not None:
-        return vehicle_named(name, conf)
-    try:
-        return own_vehicle(flight, conf)
-    except (DataError, UsageError):  # a record of another version: the limits are then not known
-        return None
-
-
-def _with_import(findings: list[Any], flight: Flight) -> list[Any]:
-    """Findings now, and those that the import made on the log itself, which the flight no longer shows."""
-    from quadexp.log.check.finding import Finding, worst_first
-
-    names = {finding.name for finding in findings}
-    earlier = []
-    for record in flight.metadata.get("findings") or []:
-        if {"name", "severity", "where"} <= set(record) and record["name"] not in names:
-            severity = record["severity"].replace("blocking", "warning")  # it was mended or accepted at the import
-            texts = {key: record.get(key, "") for key in ("measured", "allowed", "advice")}
-            earlier.append(Finding(record["name"], severity, f"the log, {record['where']}", **texts))
-    return worst_first(findings + earlier)
 
 
 # --------------------------------------------------------------------------------------------------------------- look

@@ -26,14 +26,21 @@ FLOORS = (
     ("models",),
     ("reference", "world", "control"),
     ("report",),
-    ("experiment", "papers"),
+    ("experiment",),
     ("sweeps",),
-    ("tune",),
-    ("bench",),
     ("requests", "frames", "api", "loop"),
     ("cli",),
     ("__main__",),
 )
+# Floors of the plug-ins, above all of the core, which imports nothing from them.
+PLUGIN_FLOORS = (
+    ("page", "remedies", "tune", "worlds", "foreign", "cluster", "neural", "exchange"),
+    ("papers", "auto", "bench", "gym", "vehicle", "archive"),
+    ("logs",),
+)
+
+
+ALL_FLOORS = (*FLOORS, ("plugins",), *(tuple(f"plugins/{name}" for name in names) for names in PLUGIN_FLOORS))
 
 
 @cache
@@ -70,22 +77,34 @@ def imports() -> dict[str, frozenset[str]]:
 
 
 def place(module: str) -> str:
-    """The package below quadexp that a module is in, or its own name."""
-    return module.split(".")[1] if "." in module else ""
+    """The package below quadexp that a module is in, or its own name; "plugins/NAME" in a plug-in."""
+    places = module.split(".")[1:]
+    return "/".join(places[:2] if places[:1] == ["plugins"] else places[:1])
 
 
 def floor(module: str) -> int:
     """From 0, the lowest."""
     own = place(module)
-    for level, names in enumerate(FLOORS):
+    for level, names in enumerate(ALL_FLOORS):
         if own in names:
             return level
-    raise AssertionError(f"{module}: has no floor yet: add it to FLOORS in tests/house.py")
+    raise AssertionError(f"{module}: has no floor yet: add it to FLOORS or PLUGIN_FLOORS in tests/house.py")
 
 
 @cache
 def rooms() -> dict[str, set[str]]:
-    """Room -> rooms that it imports from."""
+    """Room of the core -> rooms that it imports from."""
+    return {name: below for name, below in all_rooms().items() if "/" not in name}
+
+
+def plugins() -> list[str]:
+    """Names of the plug-ins."""
+    return sorted(name.partition("/")[2] for name in all_rooms() if "/" in name)
+
+
+@cache
+def all_rooms() -> dict[str, set[str]]:
+    """Room or plug-in -> those that it imports from."""
     found: dict[str, set[str]] = {}
     for module, targets in imports().items():
         if is_room(place(module)):
@@ -95,7 +114,7 @@ def rooms() -> dict[str, set[str]]:
 
 
 def is_room(name: str) -> bool:
-    return bool(name) and (PACKAGE / name).is_dir()
+    return name not in ("", "plugins") and (PACKAGE / name).is_dir()
 
 
 def arrows() -> list[tuple[str, str]]:
@@ -124,7 +143,7 @@ def picture() -> str:
     levels = [names for floor in reversed(FLOORS) if (names := [name for name in floor if is_room(name)])]
     places = {n: (2 * (i - (len(row) - 1) / 2), -k) for k, row in enumerate(levels) for i, n in enumerate(row)}
     figure = Figure(figsize=(6, 0.7 * len(levels)), dpi=72)
-    panel = figure.add_axes((0, 0, 1, 1), xlim=(-3.4, 3.4), ylim=(-len(levels) - 0.3, 0.5))
+    panel = figure.add_axes((0, 0, 1, 1), xlim=(-3.4, 3.4), ylim=(-len(levels) - 0.3, 1.0))
     panel.set_axis_off()
     box = {"boxstyle": "round", "facecolor": "#eef3fb", "edgecolor": "#4a6fa5"}
     boxes = {name: panel.text(*at, f"{name}/", ha="center", va="center", bbox=box) for name, at in places.items()}
@@ -136,7 +155,9 @@ def picture() -> str:
         look = {"arrowstyle": "-|>", "connectionstyle": f"arc3,rad={-away}", "color": "#6e7781", "mutation_scale": 11}
         panel.add_patch(FancyArrowPatch((x, y), (to_x, to_y), gid=f"{above}-{below}", **look, **ends))
     files = ", ".join(name for name in FLOORS[1] if not is_room(name))
-    panel.text(0, -len(levels), f"{files}: used everywhere", ha="center", fontsize=9, color="#57606a")
+    small = {"ha": "center", "fontsize": 9, "color": "#57606a"}
+    panel.text(0, -len(levels), f"{files}: used everywhere", **small)
+    panel.text(0, 0.75, "plugins/: " + ", ".join(plugins()), **small)
     stream = io.StringIO()
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "house"}):
         figure.savefig(stream, format="svg", metadata={"Date": None})

@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadexp.control.feedback.frames import FRD_FLU, NED_ENU, euler_angles
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.papers.lei_li.feedback.frames import FRD_FLU, NED_ENU, euler_angles
 
 
 def random_state(rng: np.random.Generator, *, speed: float = 6.0, rate: float = 3.0) -> np.ndarray:

@@ -15,11 +15,11 @@ from rich.console import Console
 
 from quadexp import messages
 from quadexp.cli.terminal import print_lines
-from quadexp.log.check.candidates import flow
-from quadexp.report.document import sortable_page
+from quadexp.plugins.logs.check.candidates import flow
+from quadexp.plugins.page.document import sortable_page
+from quadexp.plugins.tune.preset import _yaml
 from quadexp.report.style import Figure, plain_log, styled
 from quadexp.report.table import _MARKS, Table
-from quadexp.tune.preset import _yaml
 from tests.report.results import make_results, speed_figure
 
 PIECES = (
@@ -181,11 +181,12 @@ EVIL = "\n47 files, 0 wrong\x1b[31m$\\frac$|=cmd|'`<b>\\input{x}"
 def test_a_sweep_of_hostile_names_is_written_drawn_and_reported(tmp_path, monkeypatch):
     """Every writer of a sweep's texts, on flights of somebody who wishes no good."""
     from quadexp.log.store import read_table
+    from quadexp.plugins.page.document import page_of
+    from quadexp.plugins.page.report import make_report
     from quadexp.report.frame import SweepFrame
     from quadexp.report.metrics import from_columns, to_csv
-    from quadexp.report.page import make_report
     from quadexp.report.statistics import results_statistics
-    from quadexp.report.tables import comparison_texts, csv_of, page_of
+    from quadexp.report.tables import comparison_texts, csv_of
 
     evil = f"gp_mpc{EVIL}"
     monkeypatch.setattr("tests.report.results.ERRORS", {"nominal_mpc": 0.04, evil: 0.002})

@@ -3,7 +3,21 @@
 import ast
 import re
 
-from tests.house import FLOORS, PACKAGE, ROOT, arrows, floor, imports, is_room, modules, picture, place, rooms
+from tests.house import (
+    ALL_FLOORS,
+    PACKAGE,
+    ROOT,
+    all_rooms,
+    arrows,
+    floor,
+    imports,
+    is_room,
+    modules,
+    picture,
+    place,
+    plugins,
+    rooms,
+)
 
 # Imports against the flow that stand for a reason: (module, imported).
 CROSSINGS: dict[tuple[str, str], str] = {}
@@ -39,7 +53,7 @@ def test_no_module_imports_itself_by_way_of_others():
 
 def test_every_floor_is_of_this_house():
     places = {place(module) for module in modules()}
-    named = {name for names in FLOORS for name in names}
+    named = {name for names in ALL_FLOORS for name in names}
     assert named <= places, "FLOORS names what is there no more"
 
 
@@ -54,6 +68,17 @@ def test_imports_go_along_the_data_flow():
     assert wrong == set(CROSSINGS), "import against the data flow, or a crossing that is none any more"
 
 
+def test_the_core_imports_nothing_from_plugins():
+    crossing = {
+        (module, target)
+        for module, targets in imports().items()
+        for target in targets
+        if target.startswith("quadexp.plugins") and not module.startswith("quadexp.plugins")
+    }
+    assert not crossing
+    assert {"logs", "page", "remedies"} <= set(plugins())
+
+
 def both_modules(module: str, target: str) -> bool:
     """Whether both are single modules, which may share a floor; two packages on one floor do not know of each other."""
     return all(name.count(".") <= 1 and modules()[name].name != "__init__.py" for name in (module, target))
@@ -65,7 +90,7 @@ def test_few_files_stand_beside_the_rooms():
 
 
 def test_every_room_says_in_a_sentence_what_its_idea_is():
-    for name in rooms():
+    for name in all_rooms():
         said = ast.get_docstring(ast.parse((PACKAGE / name / "__init__.py").read_text(encoding="utf-8")))
         assert said and said.splitlines()[0][0].isupper(), name
 

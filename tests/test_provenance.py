@@ -69,7 +69,7 @@ def test_what_changes_which_hash(tmp_path):
     for name, decides in (
         ("report/style.py", False),
         ("cli/fly.py", False),
-        ("sweeps/cluster.py", False),
+        ("plugins/cluster/cluster.py", False),
         ("report/metrics.py", True),
         ("physics/drag.py", True),
         ("control/mpc/riccati_backward.c", True),

@@ -31,6 +31,9 @@ SOURCES = (
 LANDING = ROOT / "docs" / "site" / "landing.md"  # index.html of the site; README.md is the page `about`
 NAV_PAGE = re.compile(r"^\s+- (?:.*: )?(\S+\.(?:md|ipynb))$")
 LINK = re.compile(r"\]\(([^)#\s]+)")
+MATH = re.compile(r"^```math\n(.*?)^```\n", re.MULTILINE | re.DOTALL)
+PROGRAMS = ("quadexp", "python", "pip", "source", "export", "git", "dask", "apt-get", "pytest", "sha256sum")
+COMMANDS = ("make", "QUADEXP", "DASK", "CC=", *(f"{program} " for program in PROGRAMS))  # how one begins
 FOLDERS = {"examples/notebooks)": "examples/notebooks/compare_controllers.ipynb)"}  # a folder has no page
 
 
@@ -51,14 +54,64 @@ def stage() -> None:
             for folder, page in FOLDERS.items():
                 text = text.replace(folder, page)
             copy = PAGES / "about.md" if path == ROOT / "README.md" else copy
-            copy.write_text(_with_about(path, text), encoding="utf-8")
+            copy.write_text(typeset(separated(_with_about(path, text))), encoding="utf-8")
         else:
             shutil.copyfile(path, copy)
 
     (PAGES / "docs" / "configuration.md").write_text(_configuration(), encoding="utf-8")
     landing = LANDING.read_text(encoding="utf-8").replace("](../../", "](").replace("](../", "](docs/")
     landing = landing.replace('src="../', 'src="docs/').replace("](README.md", "](about.md")
-    (PAGES / "index.md").write_text(landing, encoding="utf-8")
+    (PAGES / "index.md").write_text(separated(landing), encoding="utf-8")
+
+
+def separated(text: str) -> str:
+    """The page with its indented blocks as fenced ones: every command by itself, and what it prints by itself."""
+    made: list[str] = []
+    kind = ""  # of the block that is open: "bash", "text", or "" for none
+    fenced = goes_on = False
+    blank = True
+
+    def end() -> None:
+        while not made[-1]:
+            made.pop()
+        made.extend(["```", ""])
+
+    for line in text.splitlines():
+        fenced ^= line.startswith("```")
+        if line.startswith("    ") and not fenced and (kind or blank):
+            is_command = goes_on or line[4:].startswith(COMMANDS)
+            goes_on = is_command and line.endswith("\\")
+            wanted = "bash" if is_command else "text"
+            if kind != wanted:
+                if kind:
+                    end()
+                made.append(f"```{wanted}")
+                kind = wanted
+            made.append(line[4:])
+        else:
+            if kind and line:
+                end()
+                kind = ""
+            made.append(line)
+        blank = not line
+    if kind:
+        end()
+    return "\n".join(made).rstrip() + "\n"
+
+
+def typeset(text: str) -> str:
+    """The page with its equations (blocks ```math, which GitHub sets too) as MathML, which needs no script."""
+    try:
+        from latex2mathml.converter import convert
+    except ImportError:  # shown as they are written
+        return text.replace("```math", "```text")
+
+    def equation(match: re.Match[str]) -> str:
+        lines = [line.rstrip().removesuffix(r"\\") for line in match[1].strip().splitlines()]
+        shown = "".join(f"<p>{convert(line, display='block')}</p>" for line in lines if line)
+        return f'<div class="equation">{shown}</div>\n'
+
+    return MATH.sub(equation, text)
 
 
 def _configuration() -> str:

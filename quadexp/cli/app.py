@@ -1,7 +1,7 @@
 """The command line: every command parses, makes one request, and prints the answer.
 
-The commands stand in the modules fly, logs, learn, look and extend, and are found through quadexp/plugin.py, as those
-of packages from outside. At the top they import light modules, and the rest inside the command, so that --help takes no
+The commands of the core stand in the modules fly, learn, look and extend, and are found through quadexp/plugin.py, as
+those of plug-ins. At the top they import light modules, and the rest inside the command, so that --help takes no
 time.
 """
 
@@ -17,15 +17,13 @@ import typer
 from typer.core import TyperGroup
 
 from quadexp import __version__
-from quadexp.cli.command import Command
+from quadexp.cli.command import PLUGINS, Command
 from quadexp.cli.early import NOTHING
 from quadexp.cli.terminal import end, fail, interrupted, is_interrupted, output_failed, prepare
 from quadexp.errors import QuadexpError, UsageError
-from quadexp.plugin import BRINGS, brought, places
+from quadexp.plugin import brought, places, shipped_places
 
-# Heading of the help -> modules of its commands.
-HEADINGS = {"Fly": ("fly",), "Learn": ("logs", "learn"), "Look": ("look",), "Extend": ("extend",)}
-OUTSIDE = "Plug-ins"
+HEADINGS = ("Fly", "Learn", "Look", "Extend", PLUGINS)  # of the help, in this order
 INTERRUPTED = 130  # what typer returns for Ctrl-C
 
 
@@ -34,11 +32,10 @@ class Grouped(TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Called by typer."""
-        headings: dict[str, list[str]] = {heading: [] for heading in (*HEADINGS, OUTSIDE)}
+        headings: dict[str, list[str]] = {heading: [] for heading in HEADINGS}
         for name in self.commands:
-            module = BRINGS["commands"].get(name, "").partition(":")[0].rpartition(".")[2]
-            heading = next((heading for heading, modules in HEADINGS.items() if module in modules), OUTSIDE)
-            headings[heading].append(name)
+            heading = command_of(name).heading
+            headings[heading if heading in headings else PLUGINS].append(name)
         for heading, names in headings.items():
             if names:
                 with formatter.section(heading):
@@ -101,7 +98,7 @@ def main() -> None:
 def _run() -> int:
     code: object
     try:
-        asked = [word for word in sys.argv[1:2] if word in BRINGS["commands"]]
+        asked = [word for word in sys.argv[1:2] if word in shipped_places("commands")]
         code = application(asked)(standalone_mode=False, prog_name="quadexp")
         if code == INTERRUPTED and is_interrupted():  # before the command began
             raise KeyboardInterrupt

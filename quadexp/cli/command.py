@@ -72,16 +72,19 @@ Conf = Annotated[
 ]
 Force = Annotated[bool, Ask("Replace existing output.", flag="--force -f")]
 Figures = Annotated[bool, Ask("Draw figures.", flag="--figures/--no-figures")]
+PLUGINS = "Plug-ins"  # heading of commands whose module states none
 FORMAT = Ask("Print json, csv, markdown or latex instead of text.", "FORMAT", "--format")
 JSON = Ask("One JSON object on standard output.")
 
 
 class Command(NamedTuple):
-    """A command. function: answers it. asked: of keys of its records that need more than their meaning says."""
+    """A command. function: answers it. asked: of keys of its records that need more than their meaning says. heading:
+    of the help, which its module states as HEADING."""
 
     name: str
     function: Callable[..., Answer]
     asked: Mapping[str, Ask]
+    heading: str
 
     def typed(self) -> Callable[..., None]:
         """As a function that typer takes, whose signature has its words and options."""
@@ -123,7 +126,8 @@ class Command(NamedTuple):
 
 def command(function: Callable[..., Answer], **asked: Ask) -> Command:
     """The function as a command under its name; `import_` is `import`."""
-    return Command(function.__name__.rstrip("_").replace("_", "-"), function, asked)
+    name = function.__name__.rstrip("_").replace("_", "-")
+    return Command(name, function, asked, function.__globals__.get("HEADING", PLUGINS))
 
 
 def _parameter(name: str, kind: Any, ask: Ask, default: Any) -> inspect.Parameter:
@@ -170,3 +174,8 @@ def _print(answer: Answer, form: str, what: str) -> None:
 def single_values(record: Mapping[str, Any]) -> dict[str, Any]:
     """What of a record fits into a row of a table: numbers and texts."""
     return {key: value for key, value in record.items() if not isinstance(value, (dict, list, tuple))}
+
+
+def file_rows(files: Mapping[str, Path]) -> list[dict[str, Any]]:
+    """A row a file that was written."""
+    return [{"file": name, "path": path} for name, path in files.items()]

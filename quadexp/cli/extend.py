@@ -13,6 +13,8 @@ from quadexp.cli.command import Answer, Ask, Conf, command
 from quadexp.errors import UsageError
 from quadexp.writer import check_output, write_text
 
+HEADING = "Extend"
+
 
 @command
 def options(
@@ -100,13 +102,21 @@ def new(
     part: Annotated[str, Ask(f"What to begin: {', '.join(TEMPLATES)}.", "PART")],
     name: Annotated[str, Ask("Of module, option and test: a Python identifier.", "NAME")],
     to: Annotated[Path, Ask("A configuration folder, given to other commands by --conf.", "DIR")] = Path("my_parts"),
+    source: Annotated[
+        str | None, Ask("A vehicle: the file of crazyflow (.toml) or RotorPy (.py).", "FILE[:SECTION]", "--from")
+    ] = None,
 ) -> Answer:
     """Begin a part of your own: a module, its option, and a test that passes, to be changed step by step.
+
+    A vehicle with --from has the numbers of another program's file; a RotorPy file is Python, and is run.
 
     \b
     quadexp new trajectory spiral --to my_parts
     quadexp new model flapping
+    quadexp new vehicle racer --from params.toml:racer
     """
+    if source is not None:
+        return _vehicle_from(part, name, source, to)
     notes = [f"new {part}: is `new {FORMER[part]}` now"] if part in FORMER else []
     part = FORMER.get(part, part)
     if part not in TEMPLATES:
@@ -130,6 +140,29 @@ def new(
     record = {"part": part, "name": name, "option": f"{group}={option}", "files": files, "commands": commands}
     hints = ["", "test it, fly it, then make it yours:", *(f"    {words}" for words in commands)]
     return Answer(record, [{"file": str(file)} for file in files], [*files, *hints], notes)
+
+
+def _vehicle_from(part: str, name: str, source: str, to: Path) -> Answer:
+    """A vehicle with the numbers of another program's file."""
+    from omegaconf import OmegaConf
+
+    from quadexp.experiment.build import build_vehicle
+    from quadexp.parts.settings import made
+    from quadexp.physics.vehicle import Vehicle
+    from quadexp.plugin import service
+
+    if part != "vehicle":
+        raise UsageError(f"new {part} --from: only a vehicle is read from a file")
+    _check_name(part, name, TEMPLATES[part], to)
+    file, _, section = source.partition(":")
+    keys = service("vehicle_of_file", f"new vehicle --from {source}")(Path(file), section)
+    build_vehicle(made(Vehicle, {"name": name} | keys))
+    stated = {"_target_": f"{Vehicle.__module__}.{Vehicle.__name__}", "name": name} | keys
+    text = f"# From {source}. SI units; rate_max, the largest body rate of a reference, is not from there.\n"
+    path = write_text(to / "vehicle" / f"{name}.yaml", text + OmegaConf.to_yaml(OmegaConf.create(stated)), force=False)
+    command = f"quadexp simulate --conf {shlex.quote(str(to))} vehicle={name} --out runs/{name}.parquet"
+    record = {"part": part, "name": name, "option": f"vehicle={name}", "files": [path], "commands": [command]}
+    return Answer(record, [{"file": str(path)}], [path, "", f"    {command}"])
 
 
 def examples_folder() -> Path:

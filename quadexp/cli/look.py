@@ -1,20 +1,21 @@
-"""Commands that look at what was written: `quadexp show`, `compare`, `results`, `plot`, `report`, `animate`, `export`.
-
-Only light modules are imported at the top.
-"""
+"""Commands that look at what was written: `quadexp show`, `compare`, `results`, `export`. Only light modules are
+imported at the top."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
-from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Out, Overrides, command, single_values
+from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Overrides, command, file_rows
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
 from quadexp.names import named, without
+from quadexp.plugin import service
 from quadexp.progress import Progress
 from quadexp.writer import check_output, write_text
+
+HEADING = "Look"
 
 COLUMNS = ("trajectory", "speed", "plant", "controller", "model", "variant", "seed", "outcome", "mean_error", "rmse")
 FAILED_COLUMNS = (*COLUMNS[:-2], "cause")
@@ -62,7 +63,7 @@ def results(
     """
     from quadexp.log.outcome import RULE
     from quadexp.report.checked import check_flights, flown_by, flown_by_lines
-    from quadexp.report.tables import csv_of, flights_table, page_of
+    from quadexp.report.tables import csv_of, flights_table
     from quadexp.sweeps.results import select
 
     if verify:
@@ -80,6 +81,7 @@ def results(
     names = [name.strip() for name in columns.split(",") if name.strip()] if columns else []
     usual = (*(FAILED_COLUMNS if failures else COLUMNS), *(("sources",) if several else ()))
     if html is not None:
+        page_of = service("sortable_page", "--html")
         page = page_of(frame, names or [*usual, "key"], folder.name)
         write_text(check_output(html, force=force), page, force=force)
         return Answer({"path": html}, [{"path": html}], [html])
@@ -132,82 +134,18 @@ def _verify(folder: Path) -> Answer:
     )
 
 
-WIDTHS = {"column": 3.5, "page": 7.16}  # inches, of the IEEE
-
-
-@command
-def plot(
-    results: Annotated[Path, Ask("A folder of `quadexp evaluate`.", "DIR")],
-    x: Annotated[str | None, Ask("The key along x.", "KEY")] = None,
-    y: Annotated[str, Ask("A number of the flights, such as rmse; or success.", "COLUMN")] = "mean_error",
-    by: Annotated[tuple[str, ...], Ask("A line for each value; repeatable.", "KEY")] = (),
-    facet: Annotated[tuple[str, ...], Ask("A panel for each value; repeatable.", "KEY")] = (),
-    where: Annotated[str | None, Ask("Only these flights, such as 'speed > 6'.", "CONDITION")] = None,
-    kind: Annotated[Literal["lines", "heat"] | None, Ask("lines, or heat (a map of --x and --by).", "KIND")] = None,
-    width: Annotated[Literal["column", "page"] | None, Ask("For a paper: 3.5 or 7.16 inches wide.")] = None,
-    label: Annotated[
-        tuple[str, ...], Ask("A text of your own for a key, a value or --y; repeatable.", "KEY=TEXT")
-    ] = (),
-    title: Annotated[str, Ask("The title of the figure.", "TEXT")] = "",
-    out: Out = Path("plot.png"),
-    force: Force = False,
-) -> Answer:
-    """Draw results with any keys of the configuration as axes; without keys, what was swept chooses them.
-
-    The value of a key is that of the configuration stored with each flight, also of one that was not swept. Means are
-    over the common flights, and bars their intervals, as in tables; k/n: only k of n flights were completed.
-    The suffix of --out chooses the format: png, pdf, svg, or html, a page that opens offline with the numbers.
-
-    \b
-    quadexp plot results/x --x controller.horizon --y mean_error --by controller.nodes --out a.png
-    quadexp plot results/x --x controller.horizon --by controller.nodes --kind heat --out map.pdf
-    quadexp plot results/x --width column --label gp_mpc="GP (ours)" --title "Circle" --out figure.pdf
-    quadexp plot results/x --x vehicle.mass --facet trajectory --where "seed in [0, 1]" --out b.html
-    """
-    from dataclasses import replace
-
-    from quadexp.report.checked import check_flights
-    from quadexp.report.draw import check_path, records, save_view
-    from quadexp.report.frame import SweepFrame, chosen
-    from quadexp.report.view import view
-
-    names = dict(text.partition("=")[::2] for text in label)
-    if not all(names.values()):
-        raise UsageError(f"--label {next(name for name in names if not names[name])}: give KEY=TEXT")
-    path = check_path(out, force)
-    frame = whole = SweepFrame.read(results)
-    if where:
-        frame = whole.where(chosen(whole, where))
-        if not frame.rows:
-            raise UsageError(f"--where {where!r}: no flight fulfils it")
-    figure = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), kind=kind).named(names)
-    figure = replace(figure, heading=title, width=WIDTHS[width] if width else None)
-    save_view(figure, path, title=f"{results.name}: {figure.y_label}", force=force)
-    numbers = records(figure)
-    about = {"kind": figure.kind, "x": figure.x.key, "by": figure.by, "facet": figure.facet, "y": figure.y}
-    checked = check_flights(frame.root, frame.rows, whole.rows)
-    notes = [figure.caption, *figure.notes, f"{checked.text()}.", *checked.lines()]
-    record = {"path": path, **about, "notes": notes, "points": numbers}
-    said = [*((figure.caption,) if width else ()), *figure.notes]
-    return Answer(record, numbers, [path], said, remarks=[f"warning: {line}" for line in checked.lines()])
-
-
-def _keys(given: Sequence[str]) -> list[str] | None:
-    """Keys of an option that is repeatable, also with commas between; None where there are none."""
-    return [key.strip() for text in given for key in text.split(",") if key.strip()] or None
-
-
 @command
 def show(
     path: Annotated[Path, Ask("A flight, data set, checkpoint folder, or results.")],
     overrides: Overrides = (),
     margins: Annotated[bool, Ask("What delay and motor lag the loop tolerates along the path, from settings.")] = False,
     beliefs: Annotated[bool, Ask("Of a flight with remedies=auto: what it believed, and what was true.")] = False,
+    cite: Annotated[bool, Ask("BibTeX of the methods that flew, and of this program.")] = False,
     out: Annotated[Path | None, Ask("Draw the beliefs too: a png, pdf or svg.", "PATH", "--out -o")] = None,
     force: Force = False,
     conf: Conf = (),
 ) -> Answer:
-    """Show what a file holds: its kind, configuration, units, seed, versions, size.
+    """Show what a file holds: its kind, configuration, units, seed, versions, commit, size.
 
     \b
     quadexp show runs/a.parquet
@@ -215,7 +153,13 @@ def show(
     quadexp show --margins runs/a.parquet
     quadexp show --margins controller=nominal_mpc trajectory=circle trajectory.speed=8
     quadexp show runs/a.parquet --beliefs --out beliefs.png
+    quadexp show --cite results/table1
     """
+    if cite:
+        from quadexp.report.cite import bibtex
+
+        text = bibtex(path, conf)
+        return Answer({"bibtex": text}, [{"bibtex": text}], text.splitlines())
     if out is not None and not beliefs:
         raise UsageError(f"--out {out}: only beliefs are drawn: give --beliefs")
     if margins and beliefs:
@@ -234,15 +178,14 @@ def show(
 
 
 def _beliefs(path: Path, out: Path | None, force: bool) -> Answer:
-    from quadexp.report.beliefs import beliefs_figure, beliefs_table, read_beliefs
-    from quadexp.report.draw import check_path
-    from quadexp.report.style import save_figure
+    from quadexp.report.style import check_path, save_figure
 
-    figure = None if out is None else check_path(out, force, ("png", "pdf", "svg"))
-    flight = read_beliefs(path)
-    table = beliefs_table(flight)
+    beliefs = service("beliefs", "--beliefs")
+    figure = None if out is None else check_path(out, force)
+    flight = beliefs.read_beliefs(path)
+    table = beliefs.beliefs_table(flight)
     if figure is not None:
-        save_figure(beliefs_figure(flight), figure, force=force)
+        save_figure(beliefs.beliefs_figure(flight), figure, force=force)
     drawn = [] if figure is None else [str(figure)]
     record = {"beliefs": [named(table.columns, row) for row in table.rows]}
     return Answer(record, [table], [table, *drawn])
@@ -277,15 +220,15 @@ def compare(
     from quadexp.report.frame import read_results
 
     if out is not None:
-        from quadexp.report.draw import check_path
+        from quadexp.report.style import check_path
 
-        out = check_path(out, force, ("png", "pdf", "svg"))
+        out = check_path(out, force)
     report = compared(first, *others)
     if out is not None:
-        from quadexp.report.draw import comparison_figure
         from quadexp.report.style import save_figure
 
-        save_figure(comparison_figure(report["kind"], [first, *others]), out, force=force)
+        figure = service("comparison_figure", f"--out {out}")
+        save_figure(figure(report["kind"], [first, *others]), out, force=force)
     checked = {str(p): check_flights(*read_results(p)[:2]) for p in (first, *others) if report["kind"] == "results"}
     wrong = [f"{folder}: {line}" for folder, files in checked.items() for line in files.lines(beside=False)]
     for line in wrong:
@@ -297,69 +240,47 @@ def compare(
 
 
 @command
-def report(
-    results: Annotated[Path, Ask("Results folder of `quadexp evaluate --sweep`.")],
-    out: Out = Path("report.html"),
-    figures: Annotated[Path | None, Ask("Write the figures as PDF too, for a paper.", "DIR")] = None,
-    baseline: Annotated[str | None, Ask("Controller to compare the others with.", "CONTROLLER")] = None,
-    force: Force = False,
-) -> Answer:
-    """Write a comparison as one page that opens without a network: answer, tables, figures, provenance.
-
-    \b
-    quadexp report results/table1 --out report.html
-    quadexp report results/table1 --out report.html --figures paper/figures
-    """
-    from quadexp.report.page import make_report
-
-    page = make_report(results, out, figures=figures, baseline=baseline, force=force)
-    checked = page["checked"]
-    said = [*page["answer"], page["note"], f"{checked['text']}.", *checked["lines"]]
-    files = _files({"page": page["path"], **page["figures"]})
-    return Answer(page, files, [*said, *page["figures"].values(), page["path"]])
-
-
-@command
 def export(
-    flight: Annotated[Path, Ask("A flight of `quadexp simulate` or of a sweep.")],
-    to: Annotated[str, Ask("csv, tum, rerun.", "FORMAT", "--to")],
+    source: Annotated[str, Ask("A flight; or a model of `quadexp identify` or `fit`; or vehicle=NAME.", "SOURCE")],
+    to: Annotated[str, Ask("A flight: csv, tum, rerun. A model or a vehicle: see above.", "FORMAT", "--to")],
     out: OptionalOut = None,
+    vehicle: Annotated[str | None, Ask("Vehicle of a model that does not say it.", "NAME")] = None,
+    voltage: Annotated[float | None, Ask("Battery voltage at which the numbers hold.", "V")] = None,
+    motor_lag: Annotated[float | None, Ask("Time constant of the motors.", "S")] = None,
+    firmware: Annotated[str | None, Ask("Version of the autopilot's firmware.", "VERSION")] = None,
+    conf: Conf = (),
     force: Force = False,
 ) -> Answer:
-    """Write a flight for other programs; rerun needs the extra [viz].
+    """Write a flight, or the numbers of a model or vehicle, for other programs.
+
+    A flight: csv, tum, rerun (extra [viz]). A model or a vehicle: px4, px4_sih, ardupilot, betaflight; sdf, rotorpy,
+    crazyflow, gym_pybullet, mjcf, agilicious; casadi, c. Their files say the origin and the 95 % interval of every
+    number, and what the program cannot represent.
 
     \b
-    quadexp export runs/a.parquet --to rerun --out a.rrd
     quadexp export runs/a.parquet --to csv --out a.csv
+    quadexp export models/crazyflie --to px4 --voltage 3.9 --out crazyflie.params
+    quadexp export vehicle=hummingbird --to rotorpy --motor-lag 0.005
     """
-    from quadexp.log.exporters import export_flight
+    from quadexp.log.exporters import FORMATS, export_flight
+    from quadexp.plugin import brought, places
 
-    files = export_flight(flight, to, out, force=force)
-    return Answer({"format": to, "files": files}, _files(files), list(files.values()))
-
-
-def _files(files: Mapping[str, Path]) -> list[dict[str, Any]]:
-    """A row a file that was written."""
-    return [{"file": name, "path": path} for name, path in files.items()]
-
-
-@command
-def animate(
-    flights: Annotated[tuple[Path, ...], Ask("Flights over one reference, such as those of one sweep.", "FILE")],
-    out: Out = Path("replay.gif"),
-    rate: Annotated[float, Ask("Frames a second, 1 to 50.", "HZ")] = 20.0,
-    begin: Annotated[float, Ask("Time of the first frame.", "S", "--from")] = 0.0,
-    end: Annotated[float | None, Ask("Time of the last frame.", "S", "--to")] = None,
-    force: Force = False,
-) -> Answer:
-    """Draw flights over one reference as a moving picture in real time: GIF, or MP4 by ffmpeg.
-
-    \b
-    quadexp animate runs/nominal.parquet runs/gp.parquet --out replay.gif
-    """
-    from quadexp.report.animation import animate as draw
-
-    movie = draw(flights, out, rate=rate, begin=begin, end=end, force=force)
-    return Answer(
-        movie, [single_values(movie)], [f"{movie['frames']} frames, {movie['duration']:.1f} s", movie["path"]]
-    )
+    options = {"vehicle": vehicle, "voltage": voltage, "motor_lag": motor_lag, "firmware": firmware}
+    others = ", ".join(places("exports"))
+    form = brought("exports", to)
+    if form is not None:
+        if source.endswith(".parquet"):
+            of_flight = ", ".join(FORMATS)
+            raise UsageError(f"--to {to}: is for a model's folder or vehicle=NAME; flights are written as {of_flight}")
+        files, record, lines = form(source, out=out, conf=conf, force=force, **options)
+        return Answer(record, record["numbers"], [*lines, *files.values()])
+    if to not in FORMATS:
+        of_model = f"; a model or a vehicle as {others}" if others else ""
+        raise UsageError(f"--to {to}: no such format; a flight is written as {', '.join(FORMATS)}{of_model}")
+    if source.startswith("vehicle=") or Path(source).is_dir():
+        raise UsageError(f"--to {to}: is for flights; {source} is none: {others or 'no plug-in writes it'}")
+    for name, value in options.items():
+        if value is not None:
+            raise UsageError(f"--{name.replace('_', '-')}: --to {to} does not use it")
+    files = export_flight(source, to, out, force=force)
+    return Answer({"format": to, "files": files}, file_rows(files), list(files.values()))

@@ -41,6 +41,7 @@ from quadexp.compile.compiler import (
 from quadexp.compile.symbolic import ca
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.names import sha256_of
+from quadexp.progress import doing
 from quadexp.writer import unfollowed, write_text, written
 
 PRODUCT = "void casadi_mtimes_dense("  # one function for all of a library: its sums do not depend on what else is there
@@ -161,6 +162,7 @@ def _library(name: str, sources: Sequence[tuple[str, Sequence[str]]]) -> Path:
 
     def compiled(source: str, flags: Sequence[str]) -> Callable[[Path, Path], None]:
         def make(scratch: Path, built: Path) -> None:
+            doing(f"compiling {name}, once: later flights take it from the cache")
             code = scratch / "built.c"
             code.write_text(source, encoding="utf-8")
             run_compiler([*flags, "-c", str(code), "-o", str(built)], f"compile {name}", str(scratch))

@@ -13,7 +13,8 @@ import numpy as np
 
 from quadexp.control.base import Controller, Window
 from quadexp.control.instant import InOperations
-from quadexp.models.residual import Residual
+from quadexp.control.mpc.controller import PredictiveController
+from quadexp.models.residual import Residual, no_residual
 from quadexp.physics.vehicle import Vehicle
 
 
@@ -68,3 +69,17 @@ def innermost(controller: Any) -> Any:
     while isinstance(controller, WrappedController):
         controller = controller.inner
     return controller
+
+
+def air_of(controller: Any) -> Residual:
+    """The controller's model of the air, none where it has none."""
+    predicts = isinstance(controller, PredictiveController)
+    known = controller.mpc.residual if predicts else getattr(controller, "air", controller.residual)
+    return no_residual(controller.vehicle) if known is None else known
+
+
+def parameters_of(controller: Any) -> np.ndarray:
+    """The parameters of that model, the very array that changes in flight where they do."""
+    if isinstance(controller, PredictiveController):
+        return controller.mpc.parameters
+    return np.ascontiguousarray(air_of(controller).theta, float)

@@ -23,22 +23,21 @@ import numpy as np
 
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.build import build_vehicle
-from quadexp.experiment.delays import timing_by_accelerometer
 from quadexp.experiment.evaluate import build_loop, describe, thrust_excess
 from quadexp.experiment.identity import digest, find_model, flight_record
 from quadexp.experiment.vehicle_of import refuse_repeated
 from quadexp.log.outcome import COMPLETED
-from quadexp.log.schema import Flight
+from quadexp.log.schema import Flight, is_recorded
 from quadexp.log.store import read_flight, write_flight, write_table
 from quadexp.models.checkpoint import load_model
 from quadexp.models.dataset import ResidualDataset, as_told, known_noise, residual_dataset
-from quadexp.models.recorded import is_recorded, logged_thrust, recorded_dataset
 from quadexp.models.residual import VELOCITY
 from quadexp.models.rotor_thrust import fit_timing, mean_thrust
 from quadexp.names import without
 from quadexp.parts.schema import WORLD, Config
 from quadexp.physics.state import norms
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugin import brought, service
 from quadexp.provenance import provenance, versions
 from quadexp.reference.base import FlatOutput, standing
 from quadexp.reference.random_polynomial import RandomPolynomial
@@ -193,19 +192,20 @@ def _rows(
         raise UsageError("collect.target: simulated and recorded flights together need specific_force or velocity")
     if settings.state == "estimate":
         flights = [as_told(flight) for flight in flights]
+    if settings.target in ("auto", "velocity") and settings.identified is None and not any(recorded):
+        return _simulated_rows(config, vehicle, flights, names)
+    of_logs = service("recorded_flights", "collect")
     if settings.identified is not None:
         model = load_model(settings.identified, vehicle=vehicle, unknown=True)
         if not hasattr(model, "thrust"):
             said = f"collect.identified={settings.identified}: has no thrust curve"
             raise UsageError(f"{said}; give a folder written by `quadexp identify`")
         curve = model.thrust
-    elif settings.target in ("auto", "velocity") and not any(recorded):
-        return _simulated_rows(config, vehicle, flights, names)
     else:
-        curve = logged_thrust(flights, vehicle)
+        curve = of_logs.logged_thrust(flights, vehicle)
     target = "specific_force" if settings.target == "auto" else settings.target
     noisy = "warning: the target is the derivative of an estimated velocity, with its filter and noise"
-    dataset = recorded_dataset(flights, vehicle, curve, target=target, frame=settings.frame, names=names)
+    dataset = of_logs.recorded_dataset(flights, vehicle, curve, target=target, frame=settings.frame, names=names)
     return dataset, [noisy] if target == "velocity" else []
 
 
@@ -224,12 +224,14 @@ def _simulated_rows(
     for i, world in enumerate(worlds if settings.thrust == "delivered" else ()):
         groups.setdefault(digest({group: world.get(group) for group in OF_TIMING}), []).append(i)
     timings = []
+    timing = brought("services", "timing_of_recorded")
     for group in groups.values():
         index = dataset.columns["flight"]
         tables = [dataset.rows(index == i).columns for i in group]
         noise = noise_of(dataset.rows(np.isin(index, group)))
         of_group = [flights[i] for i in group]
-        known = timing_by_accelerometer(of_group, vehicle, of_estimate=settings.state == "estimate")
+        of_state = settings.state == "estimate"
+        known = timing(of_group, vehicle, of_estimate=of_state) if timing is not None else None
         timings.append((group, fit_timing(of_group, vehicle, tables, noise=noise, known=known)))
     extra: dict[str, Any] = {}
     lines: list[str] = []

@@ -31,8 +31,8 @@ from quadexp.experiment.identity import (
     part_identity,
 )
 from quadexp.experiment.loop_margins import instability, loop_margins
+from quadexp.log.runs import longest
 from quadexp.log.schema import Flight
-from quadexp.log.signal import longest
 from quadexp.log.store import write_flight
 from quadexp.parts.schema import Config, controller_name
 from quadexp.parts.settings import record
@@ -254,8 +254,7 @@ def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> di
     """
     if model is None:
         return None
-    from quadexp.control.observers.observer import air_of
-    from quadexp.control.wrapped import innermost
+    from quadexp.control.wrapped import air_of, innermost
     from quadexp.models.base import outside
     from quadexp.models.dataset import feature_rows
 

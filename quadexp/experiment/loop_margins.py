@@ -180,8 +180,8 @@ def instability(
     causing = {"motors that lag by": lag, "commands and measurements that are late by": late}
     causes = " and ".join(f"{words} {1e3 * value:.0f} ms" for words, value in causing.items() if value) or "no delay"
     return (
-        f"{controller.name} on {config.plant.name}: {causes}; this loop is not stable at hover, deviations grow e-fold"
-        f" in {1 / margins['growth']:.2g} s; what makes it stable: {helps}; to fly it all the same:"
+        f"{controller.name} on {config.plant.name}: {causes}; this loop is not stable at hover, an error doubles every"
+        f" {math.log(2) / margins['growth']:.2g} s; what makes it stable: {helps}; to fly it all the same:"
         " controller.allow_unstable=true"
     )
 

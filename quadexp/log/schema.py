@@ -194,7 +194,7 @@ ESTIMATE_COLUMNS: Columns = {
 TUNING_COLUMNS: Columns = {
     "trial": Column("1", "", "number of the trial; 0 is the option as it is"),
     "flights": Column("1", "", "flights up to and with this trial"),
-    "value": Column("1", "", "objective, the smaller the better (quadexp/tune/objective.py)"),
+    "value": Column("1", "", "objective, the smaller the better (quadexp/plugins/tune/objective.py)"),
     "best": Column("1", "", "smallest objective so far"),
     "error": Column("m", "", "geometric mean of the flights' errors, of those that completed"),
     "lost": Column("1", "", "flights that were not completed"),
@@ -308,3 +308,11 @@ class Flight:
     @property
     def outcome(self) -> str:
         return str(self.metadata.get("outcome", "ok"))
+
+
+def is_recorded(flight: Flight) -> bool:
+    """Whether the flight comes from a log, not from a simulated plant."""
+    return bool(flight.metadata.get("recorded", False))
+
+
+BIAS_COLUMNS = tuple(f"bias_{kind}_{axis}" for kind in "ag" for axis in "xyz")

@@ -13,7 +13,8 @@ itself. Not detected are combinations that the rows do not contain (full thrust 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from functools import cache
 from importlib import import_module
@@ -24,14 +25,15 @@ import msgspec
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
+from quadexp.models.adapting import Adapting
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.online import Adapting
 from quadexp.models.residual import VELOCITY, Residual
-from quadexp.parts.models import is_shipped, kind_of_class, model_part
+from quadexp.parts.models import kind_of_class, model_part
 from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, Setting, key, keyed, record
 from quadexp.physics.state import norms
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugin import shipped_places
 
 Callback = Callable[[str, float], None]  # told a message and the completed share, 0 .. 1
 SPEED = "speed"  # norm of the body velocity, m/s
@@ -203,9 +205,10 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
         """A model of the same kind and settings, fitted to other rows."""
         return self.part.fit(rows, intervals=False)
 
-    def described(self) -> tuple[dict[str, Any], list[str]]:
-        """What `quadexp show` says of it beside what all models have: JSON-able numbers, and lines."""
-        return {}, []
+    def described(self, report: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+        """What `quadexp show` says of it beside what all models have: JSON-able numbers, and lines. report: of its
+        fit."""
+        return {}, [f"drag        {self.linear_drag}"]  # type: ignore[attr-defined]  # of every kind
 
     @property
     def summary(self) -> str:
@@ -221,8 +224,7 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
 def model_class(kind: str) -> type[Model]:
     """The records of a kind: the class with that tag, in the module of this package of that name, or beside the class
     of a user's own option. Raises UsageError where there is none."""
-    shipped = is_shipped(kind)
-    module = import_module(f"quadexp.models.{kind}" if shipped else type(model_part(kind)).__module__)
+    module = import_module(shipped_places("models").get(kind) or type(model_part(kind)).__module__)
     for item in vars(module).values():
         if isinstance(item, type) and issubclass(item, Model) and item.__struct_config__.tag == kind:
             return item
@@ -288,3 +290,16 @@ def require_variation(rows: ResidualDataset, features: Sequence[str], outputs: S
     for name, spread in zip(features, rows.matrix(features).std(axis=0), strict=True):
         if spread < 1e-9:
             raise DataError(f"{key}: '{name}' never changes over the {rows.n_rows} rows; leave it out")
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """torch on one thread, so that the order of summation, and with it the result, does not depend on the machine."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -10,7 +10,7 @@ its derivatives, the checkpoint. The checkpoint holds the numbers; the equation 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -19,9 +19,9 @@ import numpy.typing as npt
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.models.base import AXIS, Model, ModelPart, Prediction, Shape, Three, origin
+from quadexp.models.common_scale import with_common_scale
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag, baseline
-from quadexp.models.recorded import with_common_scale
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.settings import keyed
 from quadexp.physics.expression import Expression, symbols
@@ -130,9 +130,10 @@ class Coefficients(Model, frozen=True, tag="coefficients"):
     def numbers(self) -> dict[str, Any]:
         return {"coefficients": dict(zip(self.names, self.theta.tolist(), strict=True))}
 
-    def described(self) -> tuple[dict[str, Any], list[str]]:
+    def described(self, report: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
         """See Model; it needs no class."""
-        return self.numbers, [f"equation    {', '.join(self._terms())}"]
+        equation = f"equation    {', '.join(self._terms())}"
+        return self.numbers, [equation, *super().described(report)[1]]
 
     def _terms(self) -> Sequence[str]:
         return [f"{name} = {value:.5g}" for name, value in zip(self.names, self.theta, strict=True)]

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadexp.log.signal import period_of, runs
+from quadexp.log.runs import period_of, runs
 
 FINE = 1e-3  # s
 LOW, HIGH = 0.8, 12.0  # Hz

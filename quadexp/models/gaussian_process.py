@@ -39,6 +39,7 @@ from quadexp.compile.backend import handwritten
 from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import describe
+from quadexp.models.adapting import Adapting, Block
 from quadexp.models.base import (
     AXIS,
     Callback,
@@ -50,15 +51,14 @@ from quadexp.models.base import (
     Record,
     Shape,
     Share,
+    one_thread,
     origin,
     quiet,
     require_variation,
 )
+from quadexp.models.common_scale import with_common_scale
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import N_PARAMETERS, LinearDrag, baseline, constant_mean, linear_drag_acceleration
-from quadexp.models.neural import one_thread
-from quadexp.models.online import Adapting, Block
-from quadexp.models.recorded import with_common_scale
 from quadexp.models.residual import (
     FEATURES,
     N_OUTPUTS,
@@ -211,7 +211,7 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
     mean: LinearDrag | TermMean | None
     linear_drag: LinearDrag
     predictor = "gp"
-    figure = "quadexp.report.model_figures:fit_figure"
+    figure = "quadexp.plugins.page.model_figures:fit_figure"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -257,7 +257,7 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
         chosen = "; ".join(f"{o.output} <- {', '.join(o.features)}" for o in self.outputs)
         return f"Gaussian processes {chosen} ({self.settings['inducing']} points, {self.settings['method']})"
 
-    def described(self) -> tuple[dict[str, Any], list[str]]:
+    def described(self, report: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
         outputs, lines = {}, []
         for one in self.outputs:
             scales = one.lengthscale.tolist()
@@ -269,11 +269,11 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
             text = ", ".join(f"{name} {scale:.3g}" for name, scale in zip(one.features, scales, strict=True))
             stds = f"signal {signal:.3g}, noise {noise:.3g} {describe(one.output, 'residuals').unit}"
             lines.append(f"{one.output:<12}{len(one.alpha)} points, length scales {text}; {stds}")
-        return {"outputs": outputs}, lines
+        return {"outputs": outputs}, [*lines, *super().described(report)[1]]
 
 
 def adapting_process(residual: Residual, outputs: Sequence[OutputPosterior], deviation: float | None) -> Adapting:
-    """Weights alpha that adapt. deviation: s of quadexp.models.online, m/s^2; None: that of each fit."""
+    """Weights alpha that adapt. deviation: s of quadexp.plugins.remedies.online, m/s^2; None: that of each fit."""
     sizes = [len(output.alpha) for output in outputs]
     ends = len(residual.theta) - sum(sizes) + np.cumsum([0, *sizes])
     blocks = []

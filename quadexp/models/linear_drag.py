@@ -22,10 +22,10 @@ import numpy as np
 import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
+from quadexp.models.adapting import TYPICAL_SPEED, Adapting, Block
 from quadexp.models.base import AXIS, Model, ModelPart, Prediction, Shape, Three, origin
+from quadexp.models.common_scale import has_thrust_scale, with_common_scale
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
-from quadexp.models.recorded import has_thrust_scale, with_common_scale
 from quadexp.models.regression import half_width, regress
 from quadexp.models.residual import AXES, THRUST, VELOCITY, Residual, feature_names, symbolic_residual
 from quadexp.parts.settings import key, keyed
@@ -166,7 +166,8 @@ def linear_drag_residual(
 
 
 def adapting_drag(vehicle: Vehicle, residual: Residual, deviation: float) -> Adapting:
-    """The residual of linear drag with parameters that adapt. deviation: s of quadexp.models.online, m/s^2."""
+    """The residual of linear drag with parameters that adapt. deviation: s of quadexp.plugins.remedies.online,
+    m/s^2."""
     typical, blocks = np.array([TYPICAL_SPEED, 1.0, vehicle.mass * vehicle.gravity]), []
     for axis, count in enumerate((2, 2, 3)):
         at = np.array([axis, 3 + axis, 6])[:count]

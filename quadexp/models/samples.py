@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError
+from quadexp.log.runs import period_of
 from quadexp.log.schema import Flight
-from quadexp.log.signal import period_of
 from quadexp.models.command_lag import find_lag, lagged
 from quadexp.models.dataset import WIND, name_of
 from quadexp.models.residual import VELOCITY

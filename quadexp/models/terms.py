@@ -23,8 +23,8 @@ LINEAR and QUADRATIC are the drag models:
 
 The intercepts b_x, b_y take up the accelerometer's bias and constant lateral forces (off-axis centre of mass, unequal
 rotors); without them bias times mean velocity biases d. Along z the thrust takes up a constant: d_z is fitted together
-with the thrust curve (quadexp.models.thrust_curve), and the quadratic pair together with a correction of the curve's
-scale, the term `thrust`.
+with the thrust curve (quadexp.plugins.logs.thrust_curve), and the quadratic pair together with a correction of the
+curve's scale, the term `thrust`.
 
 SELF_CONSISTENT is the blade-element model of rotors whose geometry is unknown. From quadexp.physics.blade_element (Lei
 & Li 2017, equations 9, 10, 14, 15), with s = N_b rho c / 2, climb v_z = -V_z, flow through the rotor u_k = V_k + v_z,
@@ -52,7 +52,7 @@ an approximation. The coefficients of the terms are then (k in 1/m; sqrt(k) conv
     body       k_4 / m
 
 V_k follows from momentum theory (17) at the rotor's thrust, which takes the rotor's radius; the coefficients along z
-then decide V_k too (quadexp.models.inflow).
+then decide V_k too (quadexp.plugins.logs.inflow).
 
 WITHOUT_RADIUS: where the radius is unknown, V_k - V_hover is left out, its mean is absorbed by `climb` and `advance`,
 and hub_climb, -v_i n v_z, replaces the two terms in y. The rotors' own velocities (omega x r_k) cancel from the sums to
@@ -71,9 +71,9 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError, UsageError
+from quadexp.models.adapting import TYPICAL_SPEED, Adapting, Block
 from quadexp.models.base import Positive, Record, Rotors, Three
 from quadexp.models.dataset import ResidualDataset, evaluate_rows
-from quadexp.models.online import TYPICAL_SPEED, Adapting, Block
 from quadexp.models.regression import Regression, half_width, regress
 from quadexp.models.residual import AXES, VELOCITY, Residual, feature_names, symbolic_residual
 from quadexp.physics.blade_element import TINY_SPEED
@@ -219,6 +219,14 @@ class TermStructure(NamedTuple):
     def n_parameters(self) -> int:
         return sum(map(len, self.terms))
 
+    def torque(self, vehicle: Vehicle, features: Expression, theta: Expression) -> Expression:
+        """tau_body, (3,) (N m): the scale of every rotor's thrust, the term `thrust`, is that of its torque too."""
+        if "thrust" not in self.terms[2]:
+            return ca.SX(3, 1)
+        before = len(self.terms[0]) + len(self.terms[1])
+        scale = theta[before + self.terms[2].index("thrust")]
+        return scale * (ca.sparsify(ca.DM(vehicle.allocation[1:])) @ features[6:])
+
     def acceleration(self, features: Expression, theta: Expression) -> Expression:
         """a_body, (3,) (m/s^2), of z = [v_body, w, u] and theta, the coefficients of all axes one after the other."""
         numbers = iter(range(self.n_parameters))
@@ -226,15 +234,20 @@ class TermStructure(NamedTuple):
         return ca.vertcat(*(sum((theta[next(numbers)] * term for term in axis), ca.SX(0)) for axis in phi))
 
 
-def term_residual(vehicle: Vehicle, structure: TermStructure, coefficients: np.ndarray, source: str = "") -> Residual:
-    """Residual of the terms; coefficients of all axes, (p,). source: for the record."""
+def term_residual(
+    vehicle: Vehicle, structure: TermStructure, coefficients: np.ndarray, source: str = "", *, torque: bool = False
+) -> Residual:
+    """Residual of the terms; coefficients of all axes, (p,). source: for the record. torque: whether the rotors'
+    torques have the scale of their thrust that the term `thrust` states."""
     features, theta = symbols(ca.SX, z=len(feature_names(vehicle.n_rotors)), theta=structure.n_parameters)
-    outputs = ca.vertcat(structure.acceleration(features, theta), ca.SX(3, 1))
+    beyond = structure.torque(vehicle, features, theta) if torque else ca.SX(3, 1)
+    outputs = ca.vertcat(structure.acceleration(features, theta), beyond)
     return symbolic_residual("identified", outputs, features, theta, coefficients, source=source)
 
 
 def adapting_terms(vehicle: Vehicle, deviation: float) -> Adapting:
-    """The terms ADAPTING with coefficients that adapt, from zero. deviation: s of quadexp.models.online, m/s^2."""
+    """The terms ADAPTING with coefficients that adapt, from zero. deviation: s of quadexp.plugins.remedies.online,
+    m/s^2."""
     structure = TermStructure(ADAPTING, vehicle.mass)
     residual = term_residual(vehicle, structure, np.zeros(structure.n_parameters), "adapted in flight")
     hover = np.full((1, vehicle.n_rotors), vehicle.gravity / vehicle.n_rotors)

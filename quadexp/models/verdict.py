@@ -33,9 +33,9 @@ import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import AXIS, Callback, Model, ModelPart, Prediction, outside_shares, quiet, rms
+from quadexp.models.common_scale import has_thrust_scale, with_common_scale
 from quadexp.models.dataset import DT_RANGE, ResidualDataset
 from quadexp.models.linear_drag import LinearDrag, baseline
-from quadexp.models.recorded import has_thrust_scale, with_common_scale
 from quadexp.models.regression import LEAST_FLIGHTS, between_flights
 from quadexp.models.terms import MEANS, fit_term_mean
 from quadexp.physics.state import root_mean_square
@@ -236,13 +236,14 @@ def verdict_lines(report: dict[str, Any]) -> list[str]:
     lines = _more_lines(report) if few else []
     lines += [
         f"verdict on {flights}: RMSE relative to linear drag's, paired over flights, 95 % interval",
-        "  (noise: from the variogram of the residual at a lag of two rows, an upper bound)",
+        "  (noise: at most what the residual changes by from one row to the next but one)",
     ]
     for output, row in report["outputs"].items():
         lines.append(f"  {output}  {'TOO FEW FLIGHTS TO TELL' if few else WORDS[row['verdict']]}: {row['text']}")
         lines.append(
-            f"       RMSE {row['rmse']:.3g} m/s^2 (linear drag {row['drag_rmse']:.3g}): noise of the data at most"
-            f" {row['noise']:.3g}, unexplained at least {row['unexplained']:.3g}"
+            f"       RMSE {row['rmse']:.3g} m/s^2 (linear drag {row['drag_rmse']:.3g}): of it"
+            f" noise at most {row['noise']:.3g},"
+            f" the model's error at least {row['unexplained']:.3g}"
         )
     if not report.get("identified"):
         return lines

@@ -32,7 +32,7 @@ def crazyflie_numbers(group: str, drone: str) -> dict[str, Any]:
     path = _file(drone)
     try:
         stated = tomllib.loads(path.read_text(encoding="utf-8"))[drone]
-        return _vehicle(stated) if group == "vehicle" else _plant(stated)
+        return vehicle_of(stated) if group == "vehicle" else _plant(stated)
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise UsageError(f"{path}: not the numbers of {drone} in the first-principles model: {error!r}") from None
 
@@ -50,7 +50,8 @@ def _file(drone: str) -> Path:
     )
 
 
-def _vehicle(stated: dict[str, Any]) -> dict[str, Any]:
+def vehicle_of(stated: dict[str, Any]) -> dict[str, Any]:
+    """Keys of the vehicle, of a section of the package's file."""
     roll, pitch, spin = np.array(stated["mixing_matrix"], float)
     hover = stated["mass"] * GRAVITY / len(spin)
     k_0, k_1, k_2 = stated["rpm2thrust"]

@@ -6,7 +6,6 @@ options of the group are presets: they extend one of these.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from functools import cache, lru_cache
 from pathlib import Path
@@ -19,9 +18,9 @@ from quadexp.parts.part import TARGET, Part
 from quadexp.parts.schema import conf_folder
 from quadexp.parts.settings import Declared, Settings, declared, made, plain
 from quadexp.parts.user_modules import OWN, generation, load, own_folders
+from quadexp.plugin import shipped_places
 
 GROUP = "model"
-_NAME = re.compile(r"[a-z]\w*", re.ASCII)
 
 
 def kinds() -> list[str]:
@@ -32,8 +31,8 @@ def kinds() -> list[str]:
 
 @cache
 def is_shipped(kind: str) -> bool:
-    """Whether this package has a module of that name, in which a class of models has that tag."""
-    return bool(_NAME.fullmatch(kind)) and (Path(__file__).parents[1] / "models" / f"{kind}.py").is_file()
+    """Whether it is a kind of this program, and no user's own."""
+    return kind in shipped_places("models")
 
 
 def model_part(kind: str) -> Part:
@@ -129,7 +128,7 @@ def kind_of(option: str, files: OptionFiles) -> str:
         raise UsageError(f"{GROUP}={option}: its file names no class; let it begin with `{TARGET}: MODULE.CLASS`")
     kind = kind_of_class(part)
     if is_shipped(kind) and part.__module__.partition(".")[0] != OWN:
-        raise UsageError(f"{GROUP}={option}: quadexp/models has a module {kind} too: give {kind}.py another name")
+        raise UsageError(f"{GROUP}={option}: this program has models of kind {kind} too: give {kind}.py another name")
     if kind not in options:
         raise UsageError(
             f"{GROUP}={option}: its class is in the module {kind}, so an option {GROUP}/{kind}.yaml is needed"

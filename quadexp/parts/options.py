@@ -53,6 +53,7 @@ SHEETS = "options"  # folder of the sheets, in a folder of configuration
 NOTHING = "nothing"  # the sheet of the options that do nothing, for each of which `none` stands
 ABOUT = ("of", "meaning", "provenance")  # keys of an entry that set nothing
 LOOK = "look"  # key of an option that says how it is drawn; its part has no such key
+CITE = "cite"  # key of an option that names its papers: of conf/references.bib, of a folder's own, or in words
 GLOBAL = ("experiment", *BUNDLES)  # groups whose options set values of the whole configuration
 Place = str | os.PathLike[str]
 Folders = Place | Iterable[Place] | None  # of a user's own, as given with --conf; the first comes first
@@ -175,6 +176,15 @@ class OptionFiles:
         look = self.definitions[f"{group}/{option}"][0].content.get(LOOK)
         return look if isinstance(look, Mapping) else {}
 
+    def cited(self, group: str, option: str) -> list[str]:
+        """The papers of an option, or else of those that it extends."""
+        stated = self.definitions[f"{group}/{option}"][0].content
+        papers = stated.get(CITE) or []
+        if papers:
+            return [str(paper) for paper in ([papers] if isinstance(papers, str) else papers)]
+        above = [str(name) for name in stated.get("defaults") or [] if f"{group}/{name}" in self.definitions]
+        return [paper for name in above if name != option for paper in self.cited(group, name)]
+
     def option(self, group: str, name: str) -> Option:
         """An option with those that it extends, read once; do not change it."""
         if (group, name) not in self._options:
@@ -191,7 +201,7 @@ class OptionFiles:
         if not usable:
             raise UsageError(f"{extending[-1].path}: defaults: {group}={name} extends itself")
         definition = min(usable, key=lambda each: bool(extending) and each.place < extending[-1].place)
-        content = without(definition.content, (LOOK, CRAZYFLIE))
+        content = without(definition.content, (LOOK, CITE, CRAZYFLIE))
         drone = definition.content.get(CRAZYFLIE)
         return definition, content if drone is None else crazyflie_numbers(group, str(drone)) | content
 

@@ -35,6 +35,7 @@ READS = {
     "validate": "vehicle",
     "show --margins": FLIGHT,
     "qx.controller": FLIGHT,
+    "gymnasium.make": " ".join(("vehicle plant seed trajectory world", *WORLD)),
 }
 
 

@@ -15,6 +15,7 @@ from quadexp.parts.override import in_grammar
 from quadexp.parts.part import Part
 from quadexp.parts.schema import BUNDLES, PARTS, PRESETS
 from quadexp.parts.settings import declared, flat, plain
+from quadexp.parts.user_modules import OWN
 
 
 def recorded_words(
@@ -57,7 +58,7 @@ def _option(composer: Composer, group: str, record: Mapping[str, Any], recorded:
     for option, part in composer.parts(group).items():  # not those whose package is not installed
         if part.former_kind != record.get("kind", ""):
             continue
-        if recorded not in ("", f"{part.__module__}.{part.__qualname__}"):
+        if recorded and not _is_class(part, recorded):
             continue
         if all(key in record or key in part.added for key in declared(part)):
             classes[option] = part
@@ -71,6 +72,13 @@ def _option(composer: Composer, group: str, record: Mapping[str, Any], recorded:
         )
     option = name if name in classes else next(iter(classes))
     return option, classes[option]
+
+
+def _is_class(part: type[Part], recorded: str) -> bool:
+    """Whether a part is of a recorded class; a class of this program may have changed its module since."""
+    if recorded.partition(".")[0] == OWN == part.__module__.partition(".")[0]:
+        return recorded.rpartition(".")[2] == part.__qualname__
+    return recorded == f"{part.__module__}.{part.__qualname__}"
 
 
 def _texts(value: Any, key: str) -> Iterator[str]:

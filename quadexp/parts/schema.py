@@ -24,7 +24,7 @@ class EvaluateConfig(Settings):
         options="metric",
         also=("mean_error", "rmse", "max_error"),
     )
-    figures: str = key("standard", "figures drawn in addition to the standard ones: a module of quadexp/papers")
+    figures: str = key("standard", "figures drawn in addition to the standard ones: a module of quadexp/plugins/papers")
     baseline: str = key("nominal_mpc", "controller with which the others are compared, seed by seed")
     confidence: float = key(0.95, "confidence level of every interval", "[0.5, 0.9999]")
     workers: int = key(0, "parallel processes; 0: one per core", "[0, 1024]", "processes")

@@ -61,8 +61,8 @@ def keyed(kind: type[T]) -> type[T]:
 @dataclass(frozen=True)
 class Setting:
     """What a value means, the interval it must lie in (of a list: each number), its unit, whether it names a thing, as
-    one printable line, and whether the noise of a flight is another with another value: a key of a vehicle, plant or
-    trajectory that came after the first flights were stored says no. words: of a text, the only ones allowed.
+    one printable line. noise: whether another value gives a flight other noise; a key of a vehicle, plant or trajectory
+    that came after the first flights were stored says no. words: of a text, the only ones allowed.
     options: of a text or a list, the group whose options it names, or one of the words `also` (parts/models.py).
 
     when: of its part, the key (KEY, which must not be 0, or KEY=VALUE) without which it has no effect.

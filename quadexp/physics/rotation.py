@@ -141,3 +141,10 @@ def right_jacobian(phi: Expression) -> Expression:
     first = ca.if_else(near, 1 / 2 - square / 24, 2 * ca.sin(angle / 2) ** 2 / square)
     second = ca.if_else(near, 1 / 6 - square / 120, (angle - ca.sin(angle)) / (angle * square))
     return ca.DM.eye(3) - first * cross + second * (cross @ cross)
+
+
+def continuous(q: np.ndarray) -> np.ndarray:
+    """Quaternions (k, 4) with the sign of each chosen to lie on the side of the one before."""
+    flips = np.sum(q[1:] * q[:-1], axis=1) < 0
+    sign = np.concatenate([[1.0], np.where(np.cumsum(flips) % 2, -1.0, 1.0)])
+    return q * sign[:, None]

@@ -1,1 +1,1 @@
-"""Plug-ins: what stands beside the core, in the shape of what a user brings."""
+"""What the core does not need: a folder a plug-in, each of which may be deleted (quadexp/plugin.py)."""

@@ -24,8 +24,8 @@ from functools import cached_property
 import numpy as np
 
 from quadexp.errors import UsageError
-from quadexp.log import signal
 from quadexp.models.residual import N_OUTPUTS, Residual
+from quadexp.physics import rotation
 from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.reference.air_step import AirModel
@@ -83,7 +83,7 @@ def flat_reference(
 def continuous(quaternion: np.ndarray) -> np.ndarray:
     """Quaternions (k, 4) with a continuous sign, which starts with w >= 0."""
     sign = np.where(quaternion[:1, :1] < 0, -1.0, 1.0)
-    return sign * signal.continuous(quaternion)
+    return sign * rotation.continuous(quaternion)
 
 
 @dataclass(frozen=True)

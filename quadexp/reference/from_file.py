@@ -1,7 +1,7 @@
 """Trajectory from a file: a sampled track, or waypoints, distinguished by the file's first line.
 
-    CSV track      a header with the columns t, p_x, p_y, p_z and, if there, yaw or heading, or q_w .. q_z (s, m, rad;
-                   world ENU; body to world); 8 rows or more
+    CSV track      a header with the columns t, p_x, p_y, p_z and, if there, yaw or heading (yaw_deg: degrees), or
+                   q_w .. q_z (s, m, rad; world ENU; body to world); 8 rows or more
     CSV waypoints  a header with the columns x, y, z and, if there, t and yaw (m, s, rad; world ENU); 2 rows or more
     TUM track      t x y z qx qy qz qw, separated by blanks, no header (s, m; quaternion body to world)
 
@@ -32,7 +32,7 @@ from scipy.interpolate import BSpline, make_interp_spline, make_lsq_spline
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError, UsageError
-from quadexp.log.importers.columns import groups
+from quadexp.log.column_names import groups
 from quadexp.names import named
 from quadexp.parts.settings import REQUIRED, key, keyed
 from quadexp.physics.state import norms
@@ -61,6 +61,10 @@ SMOOTH = 0.3  # s: what is proposed for a noisy track
 NANOSECONDS = 1e17  # times beyond are in ns
 NOISY = 3.0  # times the acceleration of the smoothed track: more is noise
 TUM = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
+HEADINGS = ("yaw", "heading")  # rad, unless the numbers say degrees
+DEGREES = tuple(f"{name}{unit}" for name in HEADINGS for unit in ("_deg", " [deg]", " (deg)", "[deg]", "(deg)"))
+FULL_TURN = 6.5  # rad: a heading that stays within is taken as radians
+ALONG, NOT_ALONG = 0.95, 0.7  # length of the mean direction of heading less course: held, not held
 
 
 @dataclass(frozen=True)
@@ -123,7 +127,8 @@ def read_positions(path: Path) -> Positions:
             raise DataError(f"{path}, line {i}: the same point as in the previous row; add a column t to stay there")
     scale = 1e-9 if times is not None and times[0] > NANOSECONDS else 1.0
     times = None if times is None else times * scale
-    yaw = values.get("yaw", values.get("heading"))
+    angles = [name for name in (*HEADINGS, *DEGREES) if name in values]
+    yaw = _in_radians(path, angles[0], values[angles[0]], points) if angles else None
     if columns == TUM or (yaw is None and set(ATTITUDE) <= values.keys()):
         order = TUM[4:] if columns == TUM else (*ATTITUDE[1:], ATTITUDE[0])
         yaw = _heading(path, rows, np.column_stack([values[name] for name in order]))
@@ -146,7 +151,8 @@ def _renamed(header: list[str]) -> list[str]:
 def _columns(where: str, header: list[str]) -> tuple[str, ...]:
     """The columns that are read of a CSV file; DataError where one is missing."""
     waypoints = any(name in header for name in WAYPOINTS) and not any(name in header for name in TRACK[1:])
-    needed, optional = (WAYPOINTS, ("t", "yaw")) if waypoints else (TRACK, ("yaw", "heading", *ATTITUDE))
+    angles = (*HEADINGS, *DEGREES)
+    needed, optional = (WAYPOINTS, ("t", *angles)) if waypoints else (TRACK, (*angles, *ATTITUDE))
     if missing := [name for name in needed if name not in header]:
         about = "optional t and yaw, for waypoints" if waypoints else "optional yaw; waypoints: x, y, z"
         raise DataError(
@@ -164,6 +170,36 @@ def _heading(path: Path, rows: list[tuple[int, list[str]]], quaternion: np.ndarr
         raise DataError(f"{path}, line {rows[i][0]}: the quaternion has length {lengths[i]:.3g}, not 1")
     y_body = Rotation.from_quat(quaternion).as_matrix()[:, :, 1]
     return np.arctan2(-y_body[:, 0], y_body[:, 1])
+
+
+def _in_radians(path: Path, name: str, yaw: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """A column of headings (k,) in rad. Degrees are recognised by the column's name, by steps of 360 where the angle
+    wraps, and by a nose that keeps its angle to the course (points: (k, 3)) in degrees and not in radians.
+
+    Raises DataError for angles of several turns that say neither.
+    """
+    if name in DEGREES:
+        return np.radians(yaw)
+    if np.abs(yaw).max() < FULL_TURN:
+        return yaw
+    steps = np.abs(np.diff(yaw))
+    if np.any((steps > 300) & (steps < 420)):
+        return np.radians(yaw)
+    moves = np.gradient(points[:, :2], axis=0)
+    course = np.arctan2(moves[:, 1], moves[:, 0])
+    moving = norms(moves) > 0.1 * norms(moves).max()
+    as_degrees, as_radians = (
+        float(np.abs(np.mean(np.exp(1j * (angle - course)[moving])))) for angle in (np.radians(yaw), yaw)
+    )
+    if as_degrees > ALONG and as_radians < NOT_ALONG:
+        return np.radians(yaw)
+    if as_radians > ALONG and as_degrees < NOT_ALONG:
+        return yaw
+    size = float(np.abs(yaw).max())
+    raise DataError(
+        f"{path}: {name} reaches {size:.4g}, {size / (2 * np.pi):.3g} turns in rad: name the column {name}_deg if it is"
+        f" in degrees, or wrap it to -pi .. pi if it is in rad"
+    )
 
 
 def _numbers(where: str, row: list[str], header: list[str], columns: tuple[str, ...]) -> list[float]:

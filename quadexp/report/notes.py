@@ -59,7 +59,7 @@ def table_notes(
         lines.append("no comparison: the baseline (evaluate.baseline) is none of these contestants, or several of them")
     lines += [RULE] if lost else []
     if any(s.n > s.common for s in statistics):
-        lines.append("own: mean over all own completed flights, and their number")
+        lines.append("all n: the mean over all n flights that this controller completed, whoever else did")
     lines += [text for verdict in best if (text := verdict.text())]
     return (*lines, *_first([entry.text() for entry in pooled]))
 

@@ -191,7 +191,7 @@ class Tests:
         for at in statement:
             left_out.update(causes.get(at, {}))
         if len(kept) < len(flights):
-            left_out["not in every condition"] += len(flights) - len(kept)
+            left_out["with a seed that another condition lacks"] += len(flights) - len(kept)
         each = grouped((at, flights[at, seed]) for at, seed in kept)
         return Difference(
             seeds=np.array(sorted({seed for _, seed in kept}), int),

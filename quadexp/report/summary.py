@@ -120,7 +120,7 @@ def world_note(margins: Mapping[str, Any]) -> str:
     """That a loop was flown which is not stable; "" where it is."""
     if margins.get("delay", 1.0):
         return ""
-    return f"the loop is not stable at hover: deviations grow e-fold in {1 / margins['growth']:.2g} s"
+    return f"the loop is not stable at hover: an error doubles every {math.log(2) / margins['growth']:.2g} s"
 
 
 def _milliseconds(time: float) -> str:
@@ -157,7 +157,8 @@ def _table(path: Path) -> dict[str, Any]:
     lines += _config_lines(record.get("config"))
     if kind == "results":  # the versions of the flights are in the rows; those of the record are of the table
         created = summary["provenance"].get("created")
-        return summary | {"lines": lines + ([f"table       written {created}"] if created else [])}
+        written = f"table       written {created}, {revision_text(summary['provenance'])}".rstrip(", ")
+        return summary | {"lines": lines + ([written] if created else [])}
     lines += _unit_lines(summary["columns"]) + _provenance_lines(record)
     return summary | {"lines": lines}
 
@@ -249,7 +250,6 @@ def held_out_table(rows: Sequence[Mapping[str, Any]]) -> Table | None:
 
 def _checkpoint(path: Path) -> dict[str, Any]:
     from quadexp.models.checkpoint import load_model, load_report
-    from quadexp.models.vehicle_model import VehicleModel
 
     model, file = load_model(path), path / MODEL_FILE
     try:
@@ -257,7 +257,7 @@ def _checkpoint(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise DataError(f"{file}: damaged ({error})") from None
     data = dict(model.dataset)
-    about, described = model.described()
+    about, described = model.described(load_report(path))
     summary = {
         "path": str(path), "kind": model.kind, "schema": record.get("schema"), "bytes": file.stat().st_size,
         "vehicle": dict(model.vehicle), "dataset": data, "settings": dict(getattr(model, "settings", {})),
@@ -271,17 +271,6 @@ def _checkpoint(path: Path) -> dict[str, Any]:
         f"data        {data.get('rows')} rows of {data.get('flights')} flights, sha256 {str(data.get('sha256'))[:12]}",
     ]
     lines += described
-    if isinstance(model, VehicleModel):
-        from quadexp.report.model_lines import model_lines, selection_lines
-
-        summary |= {"thrust": str(model.thrust), "best": model.best}
-        summary["models"] = {kind: fitted.records() for kind, fitted in model.models.items()}
-        lines += model_lines(model)
-        if (report := load_report(path)).get("selection"):
-            lines += selection_lines(report["selection"], report.get("best_row", model.best))
-        lines += [f"note        {note}" for note in model.notes]
-    else:
-        lines.append(f"drag        {model.linear_drag}")
     lines += range_lines(model.feature_range)
     if (scores := held_out_table(summary["held_out"])) is not None:
         lines += scores.lines()
@@ -334,10 +323,15 @@ def _provenance_lines(record: Mapping[str, Any]) -> list[str]:
     if record.get("sources"):
         lines.append(f"sources     {record['sources']} (hash of what decides a flight)")
     if provenance:
-        git = provenance.get("git") or {}
-        revision = f"commit {git['commit'][:10]}{' with changes' if git.get('dirty') else ''}, " if git else ""
-        lines.append(f"made        {provenance.get('created')}, {revision}{provenance.get('cpu')}")
+        revision = revision_text(provenance)
+        lines.append(f"made        {provenance.get('created')}, {revision and revision + ', '}{provenance.get('cpu')}")
     return lines
+
+
+def revision_text(provenance: Mapping[str, Any]) -> str:
+    """Such as "commit 6ff48bd8a4", with changes where there were some; "" where no checkout says."""
+    git = provenance.get("git") or {}
+    return f"commit {git['commit'][:10]}{' with changes' if git.get('dirty') else ''}" if git else ""
 
 
 def _size(count: int) -> str:

@@ -56,7 +56,7 @@ class Table:
     def markdown(self) -> str:
         """Markdown, the notes as a list."""
         rule = ["---" if i in self.left else "---:" for i in range(len(self.columns))]
-        table = [[_marked(cell, markdown, "**{}**", "*") for cell in row] for row in (self.columns, *self.rows)]
+        table = [[marked(cell, markdown, "**{}**", "*") for cell in row] for row in (self.columns, *self.rows)]
         lines = [markdown(self.title, begins=True), ""] if self.title else []
         lines += ["| " + " | ".join(row) + " |" for row in (table[0], rule, *table[1:])]
         lines += ["", *(f"- {markdown(note, begins=True)}" for note in self.notes)] if self.notes else []
@@ -73,16 +73,16 @@ class Table:
         if self.over:
             span = rf"\multicolumn{{{len(columns) - self.beside}}}{{c}}{{{latex(self.over)}}}"
             lines.append(rf"{' &' * self.beside} {span} \\ \cmidrule(l){{{self.beside + 1}-{len(columns)}}}")
-        lines += [_latex_row(self.columns), r"\midrule", *map(_latex_row, self.rows[: self.head])]
+        lines += [latex_row(self.columns), r"\midrule", *map(latex_row, self.rows[: self.head])]
         lines += [r"\midrule"] if self.head else []
         for before, row in zip([None, *self.rows[self.head :]], self.rows[self.head :], strict=False):
             lines += [r"\addlinespace"] if self.over and before and before[0] != row[0] else []
-            lines.append(_latex_row(row))
+            lines.append(latex_row(row))
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
 
     def csv(self) -> str:
         """CSV of the texts, without the marks of the best and of significance."""
-        return csv_text(self.columns, ([_marked(cell, str) for cell in row] for row in self.rows))
+        return csv_text(self.columns, ([marked(cell, str) for cell in row] for row in self.rows))
 
     def rendered(self, form: str) -> str:
         """As csv, markdown or latex."""
@@ -99,7 +99,7 @@ class Table:
         for i, heading in enumerate(self.columns):
             shown.add_column(plain(heading), justify="left" if i in self.left else "right", overflow="fold")
         for k, row in enumerate(self.rows):
-            cells = [_marked(cell, plain, "[bold]{}[/bold]", "*") for cell in row]
+            cells = [marked(cell, plain, "[bold]{}[/bold]", "*") for cell in row]
             shown.add_row(
                 *(re.sub(r" \[(?=[-\d])", "\n[", c) if stacked else c for c in cells), end_section=k + 1 == self.head
             )
@@ -109,7 +109,7 @@ class Table:
         """An HTML table without style; also what a notebook shows."""
 
         def row(cells: Sequence[str], tag: str) -> str:
-            texts = (_marked(cell, html, "<b>{}</b>", "*") for cell in cells)
+            texts = (marked(cell, html, "<b>{}</b>", "*") for cell in cells)
             sides = ("left" if i in self.left else "right" for i in range(len(cells)))
             cells = [f'<{tag} style="text-align:{s}">{t}</{tag}>' for s, t in zip(sides, texts, strict=True)]
             return f"<tr>{''.join(cells)}</tr>"
@@ -122,7 +122,7 @@ class Table:
     _repr_html_ = html
 
 
-def _marked(cell: str, escaped: Callable[[str], str], best: str = "{}", star: str = "") -> str:
+def marked(cell: str, escaped: Callable[[str], str], best: str = "{}", star: str = "") -> str:
     """A cell in some format. escaped: of that format. best: around the number that is marked. star: of significance."""
     made, end = "", 0
     for mark in _MARKS.finditer(cell):
@@ -131,8 +131,8 @@ def _marked(cell: str, escaped: Callable[[str], str], best: str = "{}", star: st
     return made + escaped(cell[end:])
 
 
-def _latex_row(cells: Sequence[str]) -> str:
-    return " & ".join(_marked(cell.strip(), latex, r"\textbf{{{}}}", "$^*$") for cell in cells) + r" \\"
+def latex_row(cells: Sequence[str]) -> str:
+    return " & ".join(marked(cell.strip(), latex, r"\textbf{{{}}}", "$^*$") for cell in cells) + r" \\"
 
 
 def records_table(records: Sequence[Mapping[str, Any]]) -> Table:

@@ -8,14 +8,15 @@ The table of flights has any columns of the results and any keys, for the termin
 
 <results>/statistics.parquet, .csv    every metric, long
 <results>/table.md, .tex              one metric: the error table, and in table.md the comparisons
-<results>/comparison.tex              one metric: every contestant against the baseline
+<results>/table.tex, comparison.tex   fit a column or a page of the IEEE (fitted.py)
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from quadexp.log.store import read_table, read_text, write_table
 from quadexp.names import distinct
 from quadexp.parts.cells import OPTION
 from quadexp.parts.schema import of_contestant
-from quadexp.report.document import sortable_page
+from quadexp.report.fitted import WIDTHS, fitted_latex, tabulars
 from quadexp.report.frame import SweepFrame, is_metric, is_number, setting_column, setting_text, with_unit
 from quadexp.report.metrics import metric_of
 from quadexp.report.notes import notes as row_notes
@@ -41,6 +42,7 @@ from quadexp.report.pairing import (
     is_invalid,
     setting_pairs,
 )  # fmt: skip
+from quadexp.report.paper_cells import Intervals, compact_cell
 from quadexp.report.significance import Tests
 from quadexp.report.statistics import CONFIDENCE, KINDS, Statistic, Statistics, of_lines, pooled
 from quadexp.report.table import Table, csv_text
@@ -60,7 +62,7 @@ NAMES = {
 
 
 def cell_text(s: Statistic) -> str:
-    """Such as "12.3", "**240.6** [239.9, 241.2]*", "12.3 (own 13.1 of 19; 1 lost)" or "3 lost".
+    """Such as "12.3", "**240.6** [239.9, 241.2]*", "12.3 (all 19: 13.1; 1 lost)" or "3 lost".
 
     The mean over the common flights with its interval; beside it that over all own completed flights, if these are
     more, and how the others ended."""
@@ -68,7 +70,7 @@ def cell_text(s: Statistic) -> str:
     beside = [f"{count} {outcome}" for outcome, count in s.failures.items()]
     beside = [", ".join(beside)] if beside else []
     if s.n > s.common:
-        beside = [f"own {with_interval(factor * s.mean)[0]} of {s.n}", *beside]
+        beside = [f"all {s.n}: {with_interval(factor * s.mean)[0]}", *beside]
     if math.isnan(s.common_mean):
         return "; ".join(beside) or "-"
     mean, limits = with_interval(factor * s.common_mean, factor * s.common_low, factor * s.common_high)
@@ -106,6 +108,7 @@ def error_table(
     *,
     baseline: str = BASELINE,
     confidence: float = CONFIDENCE,
+    cell: Callable[[Statistic], str] = cell_text,
 ) -> Table:
     """The error table of one metric from result rows: counts of completed flights, then a line for each trajectory
     with what else varies, speed and swept settings, with the means."""
@@ -139,7 +142,7 @@ def error_table(
         places.setdefault(line, (order.setdefault(course, len(order)), -1.0 if speed is None else speed))
         flown[label] = flown.get(label, Flights(0, 0)).plus(s.flown if s else Flights(0, 0))
         if s is not None or (line, label) not in cells:
-            cells[line, label] = cell_text(s) if s else "invalid"
+            cells[line, label] = cell(s) if s else "invalid"
     title, beside = f"{metric_of(metric).title} ({shown(metric)[1]})", 2 + len(shown_as)
     counts = ["flown", *[""] * (beside - 1), *(count.text() if count.trials else "-" for count in flown.values())]
     lines = [
@@ -183,11 +186,25 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
 def comparison_texts(statistics: Statistics, metric: str) -> tuple[Table, dict[str, str]]:
     """The error table of one metric, and name -> content of the text files made of the statistics."""
     table = error_table(statistics.flights, metric, baseline=statistics.baseline, confidence=statistics.confidence)
-    files = {"table.md": table.markdown(), "table.tex": table.latex(), "statistics.csv": statistics.csv}
+    files = {"table.md": table.markdown(), "statistics.csv": statistics.csv}
+    files["table.tex"] = _for_a_paper(statistics, metric)
     if (comparison := comparison_table(statistics.of(metric))) is not None:
         files["table.md"] += f"\n{comparison.markdown()}"
-        files["comparison.tex"] = comparison.latex()
+        files["comparison.tex"] = fitted_latex(replace(comparison, beside=3), WIDTHS["page"])
     return table, files
+
+
+def _for_a_paper(statistics: Statistics, metric: str) -> str:
+    """The error table as one tabular in a column, or a page, without intervals where it takes that; else as several."""
+    choices: tuple[tuple[str, Intervals], ...] = (("column", "brackets"), ("page", "brackets"), ("page", "none"))
+    for width, intervals in choices:
+        cell = compact_cell(intervals)
+        options: dict[str, Any] = {"baseline": statistics.baseline, "confidence": statistics.confidence}
+        table = error_table(statistics.flights, metric, **options, cell=cell)
+        table = replace(table, rows=table.rows[table.head :], head=0)  # cells say how many were completed
+        if len(tabulars(table, WIDTHS[width])) == 1:
+            break
+    return fitted_latex(table, WIDTHS[width])
 
 
 def write_comparison(root: Path, statistics: Statistics, texts: Mapping[str, str]) -> dict[str, str]:
@@ -228,11 +245,6 @@ def flights_table(frame: SweepFrame, names: Sequence[str]) -> Table:
 def csv_of(frame: SweepFrame, names: Sequence[str]) -> str:
     """Flights as CSV: SI units, every digit."""
     return csv_text(names, zip(*(frame.column(name) for name in names), strict=True))
-
-
-def page_of(frame: SweepFrame, names: Sequence[str], title: str) -> str:
-    """Flights as a page that sorts and filters, and opens without a network."""
-    return sortable_page(title, flights_table(frame, names), notes=[f"{len(frame.rows)} flights of {title}"])
 
 
 def heading(name: str) -> str:

@@ -9,7 +9,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import shlex
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -36,16 +35,7 @@ from quadexp.report.metrics import is_measured, measured, own_record
 from quadexp.report.pairing import BASELINE
 from quadexp.report.statistics import CONFIDENCE, Statistics
 from quadexp.report.table import Table
-from quadexp.sweeps.engine import (
-    CellFailed,
-    CellFunction,
-    Engine,
-    LocalEngine,
-    Progress,
-    Task,
-    Workers,
-    default_workers,
-)
+from quadexp.sweeps.engine import CellFailed, CellFunction, Engine, LocalEngine, Progress, Task, Workers
 from quadexp.sweeps.plan import INVALID, Job, check_jobs, flying_order, plan_cells
 from quadexp.sweeps.sweep_table import Row, table_row, write_results
 from quadexp.writer import flush, make_inside
@@ -326,35 +316,13 @@ def _refuse_another_sweep(store: CellStore, jobs: Mapping[str, Job]) -> None:
         )
 
 
-def build_engine(config: Config, processes: Workers | None = None) -> Engine:
-    """The engine that a configuration names; nothing is started before the first cell is flown.
-
-    processes: of this machine, in which it may fly; None for some of its own.
-    Raises UsageError where a package that it needs is not installed.
-    """
-    settings, engine = config.evaluate, config.engine
-    memory = settings.memory or None
-    if engine.kind == "local":
-        return LocalEngine(settings.workers, settings.timeout, memory, processes)
-    try:
-        for name in ("distributed", "cryptography", *(["dask_jobqueue"] if engine.kind == "jobs" else [])):
-            importlib.import_module(name)
-    except ImportError:
-        extra = "pip install 'quadexp[cluster]'"
-        raise UsageError(f"engine={engine.name} needs {name}, which is not (wholly) installed: {extra}") from None
-    from quadexp.sweeps.cluster import DaskEngine, open_cluster
-
-    workers = settings.workers or default_workers()
-    return DaskEngine(lambda: open_cluster(engine, workers), settings.timeout, memory, engine.wait)
-
-
 @contextlib.contextmanager
 def opened(config: Config, calls: int) -> Iterator[Engine]:
     """The engine for several rounds of flights: its processes, or its cluster, are started once and end with the
     context. calls: flights at least."""
     settings = config.evaluate
     with Workers(settings.workers, settings.memory or None, calls=calls) as processes:
-        engine: Any = build_engine(config, processes)
+        engine: Any = config.engine.build(settings, processes)
         if isinstance(engine, LocalEngine):
             yield engine
             return

@@ -25,6 +25,7 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
+from quadexp.log.schema import BIAS_COLUMNS
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.parts.settings import declared, keyed
 from quadexp.physics.expression import unit
@@ -36,7 +37,6 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.world.channel import DRIFT, Channel
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
 from quadexp.world.history import History
-from quadexp.world.inertial import BIAS_COLUMNS
 from quadexp.world.sensor_keys import ZERO, SensorKeys
 from quadexp.world.streams import part_stream
 

@@ -3,7 +3,6 @@
 import ast
 import copy
 import gc
-import importlib
 import os
 import pickle
 import subprocess
@@ -52,16 +51,10 @@ class TestImport:
         with pytest.raises(AttributeError, match="no attribute 'simulat'"):
             _ = qx.simulat
 
-    @pytest.mark.parametrize("name", ["tune", "bench"])
-    def test_a_function_stays_one_when_the_room_of_its_name_is_imported(self, name):
-        for room in (f"quadexp.{name}", f"quadexp.{name}.run" if name == "bench" else "quadexp.tune.search"):
-            assert importlib.import_module(room).__name__ == room
-            assert callable(getattr(qx, name)) and getattr(qx, name).__module__ == "quadexp.api"
-
     def test_type_checkers_see_the_same_names(self):
         stub = ast.parse((ROOT / "quadexp" / "__init__.pyi").read_text())
         found = {(node.names[0].asname, node.module) for node in stub.body if isinstance(node, ast.ImportFrom)}
-        assert found == {(name, f"quadexp.{module}") for name, module in qx._API.items()}
+        assert found == {(name, place.partition(":")[0]) for name, place in qx._places().items()}
 
 
 class TestSimulate:

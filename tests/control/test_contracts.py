@@ -8,7 +8,6 @@ import pytest
 
 from quadexp.compile.compiler import compiler
 from quadexp.control.base import Measurement, Window
-from quadexp.control.l1 import L1
 from quadexp.control.law import Law
 from quadexp.control.laws.explicit import ExplicitController
 from quadexp.control.layer import Layer, LayerPart
@@ -21,6 +20,7 @@ from quadexp.experiment.loop_margins import loop_margins
 from quadexp.experiment.rollout import SampledReference
 from quadexp.parts.compose import compose
 from quadexp.parts.options import OptionFiles
+from quadexp.plugins.remedies.l1 import L1
 from tests.control.held import Held
 
 OWN = Path(__file__).parents[2] / "examples"

@@ -8,7 +8,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "benchmarks").glob("*.md")])
 LINK = re.compile(r"\]\(([^)#\s]+)(?:#([\w-]+))?\)")
-PLACE = re.compile(r"(?<![\w/.])((?:quadexp|tests|benchmarks|examples|conf)/[\w/.-]*\w)")
+# Not the names of environments of Gymnasium.
+PLACE = re.compile(r"(?<![\w/.])((?![\w/]+-v0)(?:quadexp|tests|benchmarks|examples|conf)/[\w/.-]*\w)")
 NAMED = re.compile(r"(quadexp/[\w/]+\.py) ((?:`[\w.]+`(?:, )?)+)")
 
 

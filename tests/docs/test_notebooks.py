@@ -64,5 +64,5 @@ def test_executed_again(name, tmp_path, monkeypatch):
     assert (tmp_path / "my_parts" / "test_my_control.py").is_file() == (name == "add_a_controller")
 
 
-def test_there_are_three():
-    assert NOTEBOOKS == ["add_a_controller", "compare_controllers", "learn_from_a_log"]
+def test_these_are_all():
+    assert NOTEBOOKS == ["add_a_controller", "compare_controllers", "learn_from_a_log", "sliders"]

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from quadexp.parts.compose import expand
+from quadexp.plugins.page.sweep_figures import draw, drawings
 from quadexp.report.frame import SweepFrame
-from quadexp.sweeps.figures import draw, drawings
 from tests.docs.commands import ROOT, Step, steps
 from tests.docs.test_commands import alike, run
 from tests.report.sweeps import noise, swept

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from quadexp.cli.app import app
 from tests.docs.commands import ROOT, commands
-from tests.log.importers import logs
+from tests.plugins.logs.importers import logs
 
 PAGE = ROOT / "docs" / "real_flights.md"
 DATA = ROOT.parent / "shared" / "data" / "nanobench"

@@ -10,9 +10,23 @@ from pathlib import Path
 
 import pytest
 
-from tests.report.test_browser import browser, show  # noqa: F401
+from tests.plugins.page.test_browser import browser, show  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[2]
+PAGES = (
+    "index.html", "docs/guide.html", "docs/questions.html", "docs/leaderboard.html", "docs/geometric.html",
+    "docs/paper.html", "docs/site/gallery.html",
+)  # fmt: skip
+# Commands that are not shown whole; cells of tables in which a word goes on in the next line.
+CUT_OFF = (
+    "return [...document.querySelectorAll('.language-bash pre')].filter(e => e.scrollWidth > e.clientWidth + 1)"
+    ".map(e => e.textContent)"
+)
+BROKEN = (
+    "return [...document.querySelectorAll('.md-typeset table:not([class]) td')]"
+    ".filter(e => getComputedStyle(e).wordBreak != 'normal' || getComputedStyle(e).overflowWrap != 'normal')"
+    ".map(e => e.textContent)"
+)
 LOADED = re.compile(r"<(?:script|link|img|iframe)[^>]*(?:src|href)=\"?https?://(?!squidfunk)[^\" >]+")
 
 
@@ -38,6 +52,36 @@ def test_the_navigation_has_the_pages_that_there_are(tmp_path, monkeypatch):
         "index.md", "about.md", "docs/guide.md", "docs/observers.md", "docs/quite_new.md"
     ]  # fmt: skip
     assert nav.index("More:") < nav.index("quite_new") and "docs/delays.md" not in nav
+
+
+def test_a_command_and_what_it_prints_are_blocks_of_their_own():
+    page = "Text:\n\n    quadexp simulate a=1 \\\n            b=2\n    printed 1\n\n    quadexp show x\n\nEnd.\n\n"
+    page += "- item\n    more\n"
+    made = site_builder().separated(page)
+    assert made == (
+        "Text:\n\n```bash\nquadexp simulate a=1 \\\n        b=2\n```\n\n```text\nprinted 1\n```\n\n"
+        "```bash\nquadexp show x\n```\n\nEnd.\n\n- item\n    more\n"
+    )
+    kept = "```yaml\na:\n\n    b: 1\n```\n"
+    assert site_builder().separated(kept) == kept
+
+
+def test_every_page_keeps_its_lines_and_its_equations_are_typeset():
+    build = site_builder()
+    pytest.importorskip("latex2mathml")
+    equations = 0
+    for page in sorted((ROOT / "docs").glob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        words = [line.strip() for line in text.splitlines() if line.strip()]
+        made = build.separated(text)
+        fences = ("```bash", "```text", "```")
+        assert [w for w in words if w not in fences] == [
+            line.strip() for line in made.splitlines() if line.strip() and line.strip() not in fences
+        ]
+        shown = build.typeset(made)
+        assert "```math" not in shown and "merror" not in shown
+        equations += shown.count("<math")
+    assert equations > 15
 
 
 def test_no_page_stands_twice_in_the_navigation():
@@ -82,13 +126,15 @@ def test_in_a_browser_a_page_opened_from_a_file_has_its_scheme_its_search_and_no
     if not (site / "index.html").is_file():
         pytest.skip("no site is built: make docs")
     for width in (390, 768, 1280):
-        for page in ("index.html", "docs/questions.html", "docs/leaderboard.html", "docs/site/gallery.html"):
+        for page in PAGES:
             show(browser, site / page, width)
             features = [{"name": "prefers-color-scheme", "value": scheme}]
             browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
             browser.execute_script("localStorage.clear()")
             browser.get((site / page).as_uri())
             assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+            assert browser.execute_script(CUT_OFF) == []
+            assert browser.execute_script(BROKEN) == []
             ground = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
             assert (sum(map(int, re.findall(r"\d+", ground)[:3])) > 383) == (scheme == "light")
             assert (

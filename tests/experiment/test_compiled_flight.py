@@ -21,23 +21,23 @@ from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import symbolic_residual
 from quadexp.parts.compose import compose
+from quadexp.plugins.logs.from_model import FromModelPlant
+from quadexp.plugins.papers.lei_li.plant import BladeElementEffects, BladeElementPlant, PlantChange
+from quadexp.plugins.worlds.battery import Battery
+from quadexp.plugins.worlds.dryden import Dryden
+from quadexp.plugins.worlds.slung_load import SlungLoad
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
 from quadexp.reference.lemniscate import Lemniscate
 from quadexp.reference.step import Step
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.actuator import Actuator
-from quadexp.world.battery import Battery
-from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant, PlantChange
 from quadexp.world.constant_wind import ConstantWind
 from quadexp.world.disturbance import Disturbance
-from quadexp.world.dryden import Dryden
-from quadexp.world.from_model import FromModelPlant
 from quadexp.world.ground import GroundEffect
 from quadexp.world.link import Latency
 from quadexp.world.rotor_loss import RotorLoss
 from quadexp.world.sensors import Sensors
-from quadexp.world.slung_load import SlungLoad
 from quadexp.world.stated_estimate import StatedEstimate
 from quadexp.world.streams import BLOCK
 from quadexp.world.true_vehicle import TrueVehicle

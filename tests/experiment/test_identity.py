@@ -24,8 +24,8 @@ from quadexp.sweeps.engine import Task, fly_as_planned
 from quadexp.sweeps.plan import plan_cells
 from quadexp.sweeps.sweep import run_sweep
 from quadexp.sweeps.verify import verify_results
+from tests.plugins.cluster.test_dask import make_checkpoint
 from tests.sweeps.cells import quick_cell
-from tests.sweeps.test_dask import make_checkpoint
 
 FILES = {
     "mine.py": """
@@ -320,14 +320,14 @@ SOURCES = {
     "experiment/flight.c": "all",
     "report/metrics.py": "all",
     "reference/circle.py": "trajectory=circle",
-    "world/dryden.py": "wind=dryden",
+    "plugins/worlds/dryden.py": "wind=dryden",
     "control/laws/cascade.py": "controller=pid",
-    "models/neural.py": "controller=linear_drag_mpc",  # whose checkpoint says which model reads it
+    "plugins/neural/neural.py": "controller=linear_drag_mpc",  # whose checkpoint says which model reads it
     "experiment/fit.py": "fitted",
     "report/style.py": "",
     "cli/fly.py": "",
-    "sweeps/cluster.py": "",
-    "tune/search.py": "",
+    "plugins/cluster/cluster.py": "",
+    "plugins/tune/search.py": "",
     "errors.py": "",
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from quadexp import requests
@@ -9,7 +10,7 @@ from quadexp.experiment.evaluate import InfeasibleError, build_loop, fly_one
 from quadexp.experiment.loop_margins import hover_loop
 from quadexp.log.store import write_flight
 from quadexp.parts.compose import compose
-from quadexp.report.page.sections import margins as margins_of
+from quadexp.plugins.page.report.sections import margins as margins_of
 from quadexp.report.summary import flight_lines, margin_line, world_note
 
 HOVER = ["trajectory=hover", "trajectory.duration=0.2"]
@@ -76,7 +77,7 @@ def test_what_is_not_stable_is_refused_and_flown_where_it_is_allowed(controller,
         flown(*world)
     assert ("controller.dead_time=0.1" in str(refused.value)) == (controller == "nominal_mpc")
     margins = flown(*world, "controller.allow_unstable=true")["margins"]
-    assert margins["delay"] == 0 and f"e-fold in {1 / margins['growth']:.2g} s" in world_note(margins)
+    assert margins["delay"] == 0 and f"doubles every {np.log(2) / margins['growth']:.2g} s" in world_note(margins)
 
 
 def test_the_hash_of_a_law_does_not_know_of_what_is_as_usual():

@@ -7,13 +7,13 @@ import pytest
 
 from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.experiment.collect import collect_dataset
-from quadexp.experiment.identify import identify_files, read_recorded
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight
 from quadexp.models.checkpoint import MODEL_FILE, load_model, load_report, save_model
 from quadexp.models.linear_drag import LinearDrag
 from quadexp.parts.compose import compose
 from quadexp.physics.state import STATE_COLUMNS, input_columns
+from quadexp.plugins.logs.identify import identify_files, read_recorded
 
 TRIES = 300
 

@@ -11,9 +11,9 @@ from quadexp.errors import QuadexpError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight
 from quadexp.parts.compose import compose, expand
-from quadexp.sweeps.sweep import build_engine, run_sweep
+from quadexp.sweeps.sweep import run_sweep
 from tests.faults.command import FLY, apart, one_line, run
-from tests.sweeps.cells import CountedCell
+from tests.sweeps.cells import CountedCell, built_engine
 
 
 def files(folder):
@@ -80,7 +80,7 @@ def test_how_many_are_flown_for_a_full_disk(disk, tmp_path, engine):
     if engine == "dask":
         pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     counted = CountedCell(str(tmp_path / "flown"))  # where there is room
-    started = build_engine(compose([f"engine={engine}", "evaluate.workers=2"]))
+    started = built_engine(compose([f"engine={engine}", "evaluate.workers=2"]))
     with pytest.raises(QuadexpError, match="No space left on device.* of 400 done; run the same command") as error:
         run_sweep(expand(["seed=range(400)"]), disk / "results", function=counted, engine=started)
     assert error.value.exit_code == 1

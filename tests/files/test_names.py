@@ -16,12 +16,12 @@ from quadexp.log.store import read_flight, write_flight, write_table
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.names import NAMED, file_name, is_name
 from quadexp.parts.compose import compose, expand
+from quadexp.plugins.page.sweep_figures import SweepFigures
+from quadexp.plugins.tune.preset import check_name
 from quadexp.reference.hover import Hover
 from quadexp.requests import _flight_name, _results_name
-from quadexp.sweeps.figures import SweepFigures
 from quadexp.sweeps.results import prune, select
 from quadexp.sweeps.sweep import run_sweep
-from quadexp.tune.preset import check_name
 from tests.faults.command import FLY, run
 from tests.files.test_writer import PRECIOUS, drag
 from tests.log.flights import straight_flight

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from quadexp.models.common_scale import with_common_scale
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.recorded import with_common_scale
 
 G, MASS = 9.81, 0.8
 

@@ -13,12 +13,12 @@ from quadexp.log.schema import Flight
 from quadexp.models.dataset import as_told, residual_dataset, transitions
 from quadexp.models.rotor_thrust import HeldCommands, Timing, fit_timing, mean_thrust, measured_thrust
 from quadexp.models.samples import read_rows
-from quadexp.models.validation import Track, predictors, rollout_errors
-from quadexp.models.vehicle_model import FitSettings, fit_vehicle_model
 from quadexp.parts.compose import compose
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, input_columns
+from quadexp.plugins.logs.validation import Track, predictors, rollout_errors
+from quadexp.plugins.logs.vehicle_model import FitSettings, fit_vehicle_model
+from quadexp.plugins.worlds.battery import Battery
 from quadexp.world.actuator import Actuator
-from quadexp.world.battery import Battery
 from quadexp.world.link import Latency
 from quadexp.world.simplified import PlantEffects, SimplifiedPlant
 from quadexp.world.stated_estimate import StatedEstimate

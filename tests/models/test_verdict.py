@@ -20,7 +20,7 @@ from quadexp.models.verdict import (
     verdict,
     verdict_lines,
 )
-from quadexp.report.model_figures import curve, moved
+from quadexp.plugins.page.model_figures import curve, moved
 from tests.models.synthetic import synthetic_dataset
 
 

@@ -21,15 +21,19 @@ STEP = (
     "tests/properties/test_closed_loop.py",
 )
 JACOBIANS = ("tests/physics/test_sensitivity.py", "tests/properties/test_jacobians.py")
-DELAYS = ("tests/control/delay", "tests/experiment/test_identify_delays.py", "tests/experiment/test_delay_remedies.py")
+DELAYS = (
+    "tests/plugins/remedies/delay",
+    "tests/plugins/logs/test_identify_delays.py",
+    "tests/plugins/remedies/test_delay_remedies.py",
+)
 RESIDUAL = (
-    "tests/models/test_residuals.py", "tests/models/test_blade_residual.py", "tests/models/test_terms.py",
-    "tests/properties/test_jacobians.py", "tests/world/test_blade_element.py",
+    "tests/models/test_residuals.py", "tests/plugins/papers/test_blade_residual.py", "tests/models/test_terms.py",
+    "tests/properties/test_jacobians.py", "tests/plugins/papers/test_plant.py",
 )  # fmt: skip
 
 TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/physics/rotation.py": ("tests/physics/test_rotation.py", *MECHANICS),
-    "quadexp/physics/rotor.py": (*AIR, "tests/models/test_blade_residual.py"),
+    "quadexp/physics/rotor.py": (*AIR, "tests/plugins/papers/test_blade_residual.py"),
     "quadexp/physics/rigid_body.py": MECHANICS,
     "quadexp/physics/integrator.py": MECHANICS,
     "quadexp/physics/scalars.py": JACOBIANS,
@@ -46,44 +50,44 @@ TARGETS: dict[str, tuple[str, ...]] = {
     ),
     "quadexp/world/integrator.py": (
         "tests/world/test_simplified.py",
-        "tests/world/test_blade_element.py",
+        "tests/plugins/papers/test_plant.py",
         "tests/properties/test_mechanics.py",
     ),
-    "quadexp/world/blade_element*.py": (
-        "tests/world/test_blade_element.py",
+    "quadexp/plugins/papers/lei_li/plant*.py": (
+        "tests/plugins/papers/test_plant.py",
         "tests/properties/test_mechanics.py",
         "tests/properties/test_symmetry.py",
         "tests/properties/test_blade_limits.py",
     ),
-    "quadexp/models/online.py": ("tests/models/test_online.py",),
-    "quadexp/models/adapt_block.c": ("tests/models/test_online.py",),
-    "quadexp/models/neural_*.c": ("tests/models/test_residuals.py", "tests/models/test_neural.py"),
+    "quadexp/plugins/remedies/online.py": ("tests/plugins/remedies/test_online.py",),
+    "quadexp/plugins/remedies/adapt_block.c": ("tests/plugins/remedies/test_online.py",),
+    "quadexp/models/neural_*.c": ("tests/models/test_residuals.py", "tests/plugins/neural/test_neural.py"),
     "quadexp/models/residual.py": RESIDUAL,
-    "quadexp/models/inflow.py": RESIDUAL,
+    "quadexp/plugins/logs/inflow.py": RESIDUAL,
     "quadexp/models/terms.py": RESIDUAL,
     "quadexp/models/linear_drag.py": (*RESIDUAL, "tests/models/test_linear_drag.py"),
     "quadexp/models/gaussian_process.py": (*RESIDUAL, "tests/models/test_gp_fit.py"),
-    "quadexp/models/neural.py": (*RESIDUAL, "tests/models/test_neural.py"),
-    "quadexp/models/blade_element.py": (*RESIDUAL, "tests/models/test_blade_fit.py"),
-    "quadexp/control/observers/*.py": ("tests/control/test_observers.py",),
+    "quadexp/plugins/neural/neural.py": (*RESIDUAL, "tests/plugins/neural/test_neural.py"),
+    "quadexp/plugins/papers/lei_li/blade_element.py": (*RESIDUAL, "tests/plugins/papers/test_blade_fit.py"),
+    "quadexp/plugins/remedies/observers/*.py": ("tests/plugins/remedies/test_observers.py",),
     "quadexp/control/delivered.py": (
         "tests/control/test_delivered.py",
-        "tests/control/delay/test_prediction.py",
-        "tests/control/test_observers.py",
+        "tests/plugins/remedies/delay/test_prediction.py",
+        "tests/plugins/remedies/test_observers.py",
     ),
     "quadexp/control/mpc/believed_world.py": (
         "tests/control/mpc/test_believed_world.py",
-        "tests/control/test_observers.py",
+        "tests/plugins/remedies/test_observers.py",
     ),
     "quadexp/control/mpc/targets.py": (
         "tests/control/mpc/test_targets.py",
         "tests/control/mpc/test_believed_world.py",
-        "tests/control/test_observers.py",
+        "tests/plugins/remedies/test_observers.py",
     ),
-    "quadexp/control/mpc/online_mpc.py": ("tests/control/mpc/test_online_mpc.py",),
-    "quadexp/control/delay/*.py": DELAYS,
-    "quadexp/control/indi.py": ("tests/control/test_indi.py",),
-    "quadexp/control/l1.py": ("tests/control/test_l1.py",),
+    "quadexp/plugins/remedies/online_mpc.py": ("tests/plugins/remedies/test_online_mpc.py",),
+    "quadexp/plugins/remedies/delay/*.py": DELAYS,
+    "quadexp/plugins/remedies/indi.py": ("tests/plugins/remedies/test_indi.py",),
+    "quadexp/plugins/remedies/l1.py": ("tests/plugins/remedies/test_l1.py",),
     "quadexp/control/allocation.py": ("tests/control/test_allocation.py", "tests/control/laws/test_desaturation.py"),
     "quadexp/control/laws/dfbc.py": ("tests/control/test_dfbc.py",),
     "quadexp/control/laws/[!r]*.py": ("tests/control/laws",),
@@ -119,9 +123,12 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/reference/traced.py": ("tests/reference/test_air_model.py",),
     "quadexp/experiment/flight.c": ("tests/experiment/test_compiled_flight.py",),
     "quadexp/control/*loop.*": ("tests/control/test_compiled_loop.py", "tests/experiment/test_compiled_flight.py"),
-    "quadexp/models/rls.py": ("tests/models/test_rls.py", "tests/properties/test_identification.py"),
+    "quadexp/plugins/papers/lei_li/rls.py": (
+        "tests/plugins/papers/test_rls.py",
+        "tests/properties/test_identification.py",
+    ),
 }
-COMPILED = ("*.c", "quadexp/models/online.py", "quadexp/control/mpc/stages.py", "quadexp/reference/traced.py")
+COMPILED = ("*.c", "quadexp/plugins/remedies/online.py", "quadexp/control/mpc/stages.py", "quadexp/reference/traced.py")
 
 
 def runs_compiled(file: str) -> bool:

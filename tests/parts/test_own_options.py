@@ -6,7 +6,6 @@ import pytest
 
 import quadexp as qx
 from quadexp import messages
-from quadexp.cli.fly import _controllers
 from quadexp.errors import ModuleError, UsageError
 from quadexp.log.store import read_metadata
 from quadexp.parts.compose import compose, expand, session
@@ -14,6 +13,7 @@ from quadexp.parts.listing import candidates, listed
 from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import CHOSEN, PARTS, PRESETS
 from quadexp.parts.settings import declared, record
+from quadexp.plugins.bench.commands import _controllers
 from tests.cli.command import run
 
 QUICK = ("plant=ideal", "trajectory=hover", "trajectory.duration=0.2")

@@ -160,9 +160,9 @@ class TestLearnedModel:
         assert code == 2 and "controller.residual=laterl: must be one of none, plant," in error and "lateral" in error
         code, _, error = run("fit", "laterl", "x.parquet", "--conf", folder)
         assert code == 2 and "fit laterl: no such model; did you mean lateral?" in error
-        taken = option(tmp_path / "lab", "model", "dataset", "dataset", MODEL, "Lateral")
-        code, _, error = run("fit", "dataset", "x.parquet", "--conf", taken)
-        assert code == 2 and "quadexp/models has a module dataset too: give dataset.py another name" in error
+        taken = option(tmp_path / "lab", "model", "neural", "neural", MODEL, "Lateral")
+        code, _, error = run("fit", "neural", "x.parquet", "--conf", taken)
+        assert code == 2 and "this program has models of kind neural too: give neural.py another name" in error
         other = option(tmp_path / "other", "model", "mine", "equation_of_mine", MODEL, "Lateral")
         code, _, error = run("fit", "mine", "x.parquet", "--conf", other)
         assert code == 2 and "so an option model/equation_of_mine.yaml is needed" in error
@@ -247,14 +247,14 @@ class Tabs:
 
     @staticmethod
     def read(path, named):
-        from quadexp.log.importers.raw import RawLog
-        from quadexp.log.signal import Stream
+        from quadexp.plugins.logs.importers.raw import RawLog
+        from quadexp.plugins.logs.signal import Stream
         t, *columns = np.loadtxt(path, delimiter="\\t", skiprows=1).T
         streams = {"position": columns[:3], "velocity": columns[3:6], "attitude": columns[6:10]}
         return RawLog("tabs", {name: Stream(t, np.stack(values, axis=1)) for name, values in streams.items()})
 
 def lap_section(page):
-    from quadexp.report.document import Block, Section
+    from quadexp.plugins.page.document import Block, Section
     from quadexp.report.table import Table
     rows = [[row["controller"], f"{row['duration']:.1f}"] for row in page.comparison.rows]
     return Section("laps", "Laps", "Laps of my lab", "", [Block(tables={"laps": Table(["controller", "s"], rows)})])
@@ -319,7 +319,7 @@ class TestPlugIn:
         [
             ("", ["--help"], "entry point 'my_lab' of quadexp.plugins: module my_lab has no BRINGS"),
             ("import nonsense", ["laps"], "importing my_lab raised ModuleNotFoundError: No module named 'nonsense'"),
-            ("BRINGS = {'colours': {}}", ["--help"], "BRINGS['colours']: no such seam; there are commands, readers"),
+            ("BRINGS = {'colours': {}}", ["--help"], "BRINGS['colours']: no such seam; there are commands, parts"),
             ("BRINGS = {'commands': {'show': 'my_lab:x'}}", ["--help"], "'show' is taken: choose another name"),
             ("BRINGS = {'commands': {'laps': 'my_lab:x'}}", ["laps"], "laps: my_lab:x: module 'my_lab' has no"),
             ("x = 3\nBRINGS = {'commands': {'laps': 'my_lab:x'}}", ["laps"], "command laps: my_lab:x is no command of"),

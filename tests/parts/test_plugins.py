@@ -11,8 +11,8 @@ from quadexp.experiment.build import build_trajectory
 from quadexp.experiment.evaluate import evaluate_cell
 from quadexp.parts.compose import compose
 from quadexp.sweeps.engine import Task
-from quadexp.sweeps.sweep import build_engine
 from tests.faults.command import FLY, ROOT, apart, one_line
+from tests.sweeps.cells import built_engine
 
 TRAJECTORY = "_target_: {target}\n{keys}\n"
 
@@ -106,7 +106,7 @@ def test_workers_obey_the_same_rule(foreign, engine, tmp_path, monkeypatch):
     tasks = [Task(f"{i:020d}", config, None, str(tmp_path / f"{i}.parquet")) for i, config in enumerate((bad, good))]
     (conf / "tool.py").unlink()
     mark.unlink()
-    engine = build_engine(compose([f"engine={engine}", "evaluate.workers=1"]))
+    engine = built_engine(compose([f"engine={engine}", "evaluate.workers=1"]))
     results = dict(engine.fly(evaluate_cell, iter(tasks[:1])))
     assert "there is no module tool in the --conf folder" in results["0" * 20].cause
     assert not mark.exists()

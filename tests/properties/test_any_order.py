@@ -16,9 +16,9 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.log.outcome import COMPLETED
 from quadexp.models.checkpoint import save_model
 from quadexp.models.gaussian_process import GPConfig, fit_gp
-from quadexp.models.neural import NeuralModel
 from quadexp.parts.compose import compose, session
 from quadexp.parts.schema import Config
+from quadexp.plugins.neural.neural import NeuralModel
 from quadexp.sweeps.server import start_server
 from tests.models.synthetic import synthetic_dataset
 from tests.properties import cells

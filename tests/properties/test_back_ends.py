@@ -8,9 +8,9 @@ from quadexp.compile.backend import BufferedFunction, compiler, realise
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.physics.sensitivity import rk4_sensitivity_function
+from quadexp.plugins.papers.lei_li.plant import BladeElementPlant
 from quadexp.reference.flatness import flat_reference
 from quadexp.world import SimplifiedPlant
-from quadexp.world.blade_element import BladeElementPlant
 from tests.properties.paths import Wander, near
 from tests.properties.strategies import (
     generators,

@@ -20,8 +20,8 @@ from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import no_residual
 from quadexp.parts.compose import compose
 from quadexp.physics.state import STATE_COLUMNS
+from quadexp.plugins.papers.lei_li.plant import BladeElementPlant
 from quadexp.world import PlantEffects, SimplifiedPlant
-from quadexp.world.blade_element import BladeElementPlant
 from tests.properties.paths import Transformed, Wander, near
 from tests.properties.strategies import few, generators, make_effects
 from tests.properties.test_symmetry import MIRROR, mirrored, mirrored_vehicle, turned_world, z_turn

@@ -6,9 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from quadexp.control.feedback.frames import FRD_FLU, NED_ENU, euler_angles, rotation_euler, state_from_ned, yaw_ned
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.plugins.papers.lei_li.feedback.frames import (
+    FRD_FLU,
+    NED_ENU,
+    euler_angles,
+    rotation_euler,
+    state_from_ned,
+    yaw_ned,
+)
 from tests.properties.strategies import generators, make_state
 from tests.states import ned_from_state
 

@@ -11,8 +11,8 @@ from hypothesis import given
 from quadexp.physics import integrator
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.sensitivity import rk4_sensitivity_function
+from quadexp.plugins.papers.lei_li.plant import BladeElementPlant
 from quadexp.world import SimplifiedPlant
-from quadexp.world.blade_element import BladeElementPlant
 from quadexp.world.integrator import METHODS
 from tests.properties.strategies import (
     few,

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from quadexp.models.blade_element import blade_element_residual
 from quadexp.models.gaussian_process import gaussian_process_residual
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import no_residual
 from quadexp.physics.sensitivity import rk4_sensitivity_function
+from quadexp.plugins.papers.lei_li.blade_element import blade_element_residual
 from quadexp.world import SimplifiedPlant
 from tests.properties import complex_model
 from tests.properties.strategies import (

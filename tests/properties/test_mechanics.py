@@ -11,8 +11,8 @@ from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import corrected_function, rigid_body_function, state_derivative
 from quadexp.physics.rotation import quaternion_rate, rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.plugins.papers.lei_li.plant import BladeElementPlant
 from quadexp.world import SimplifiedPlant
-from quadexp.world.blade_element import BladeElementPlant
 from tests.properties.strategies import (
     generators,
     make_blade,

@@ -17,8 +17,8 @@ from quadexp.models.gaussian_process import gaussian_process_residual
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.plugins.papers.lei_li.plant import BladeElementPlant
 from quadexp.world import SimplifiedPlant
-from quadexp.world.blade_element import BladeElementPlant
 from tests.properties.strategies import (
     few,
     generators,

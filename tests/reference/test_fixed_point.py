@@ -6,19 +6,19 @@ import pytest
 
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
-from quadexp.models.blade_element import blade_element_residual
 from quadexp.models.residual import symbolic_residual
 from quadexp.parts.compose import compose
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.rotor import BladeCoefficients
 from quadexp.physics.state import RATE, VELOCITY
+from quadexp.plugins.papers.lei_li.blade_element import blade_element_residual
+from quadexp.plugins.papers.lei_li.paths import Rectangle
 from quadexp.reference.air_step import AirModel
 from quadexp.reference.base import FlatOutput
 from quadexp.reference.circle import Circle
 from quadexp.reference.fixed_point import Settings, consistent_air
 from quadexp.reference.flat_map import untwisted
 from quadexp.reference.flatness import flat_reference
-from quadexp.reference.lei_li import Rectangle
 from quadexp.reference.lemniscate import Lemniscate
 from quadexp.reference.motion import Constant, Demand
 from quadexp.reference.time_grid import SPACING, TimeGrid

@@ -12,7 +12,7 @@ from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import InfeasibleError, fly_one
 from quadexp.parts.compose import compose
 from quadexp.reference.circle import Circle
-from quadexp.reference.from_file import FileTrajectory
+from quadexp.reference.from_file import FileTrajectory, read_positions
 from tests.reference.test_polynomial import VEHICLES, shares
 
 ROOT = Path(__file__).parents[2]
@@ -225,3 +225,31 @@ def test_a_row_that_is_there_twice_is_named_with_its_digits(written):
     rows = np.insert(rows, 10, rows[10], axis=0)
     with pytest.raises(DataError, match=r"line 13: t = 1234.6678 s .* is there twice: leave one of both out"):
         FileTrajectory(path=written(table("t,p_x,p_y,p_z", [rows]))).duration  # noqa: B018
+
+
+def heading_track(written, name, heading, course):
+    """A circle whose nose has these headings, read back."""
+    t = np.arange(0, 12, 0.05)
+    angle = course(t)
+    columns = [t, 3 * np.sin(angle), -3 * np.cos(angle), 1 + 0 * t, heading(angle)]
+    return read_positions(Path(written(table(f"t,p_x,p_y,p_z,{name}", columns)))), angle
+
+
+@pytest.mark.parametrize(
+    ("name", "heading"),
+    [
+        ("yaw", lambda a: a), ("heading", lambda a: np.angle(np.exp(1j * a))), ("yaw", np.degrees),
+        ("yaw", lambda a: np.degrees(np.angle(np.exp(1j * a)))), ("yaw_deg", np.degrees),
+        ("heading [deg]", np.degrees),
+    ],
+)  # fmt: skip
+def test_degrees_of_a_heading_are_recognised(written, name, heading):
+    """Along a circle the nose points where it flies: by the name, by steps of 360, by the course."""
+    track, course = heading_track(written, name, heading, lambda t: 0.7 * t)
+    assert np.abs(np.angle(np.exp(1j * (track.yaw - course)))).max() < 1e-9
+    assert not track.ignored
+
+
+def test_a_heading_that_says_no_unit_is_refused(written):
+    with pytest.raises(DataError, match=r"yaw reaches 90, 14\.3 turns in rad: name the column yaw_deg"):
+        heading_track(written, "yaw", lambda a: 90 * np.cos(5 * a), lambda t: 0.2 * t)

@@ -8,10 +8,10 @@ from quadexp.models.gaussian_process import gaussian_process_residual, mean_only
 from quadexp.models.residual import symbolic_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.plugins.papers.lei_li.paths import Rectangle
 from quadexp.reference.circle import Circle
 from quadexp.reference.flatness import flat_reference
 from quadexp.reference.hover import Hover
-from quadexp.reference.lei_li import Rectangle
 from quadexp.reference.random_polynomial import RandomPolynomial
 from quadexp.world import PlantEffects, SimplifiedPlant
 

@@ -8,12 +8,12 @@ import numpy as np
 from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight, write_table
-from quadexp.report.draw import figure_of
+from quadexp.plugins.page.draw import figure_of
+from quadexp.plugins.page.view import automatic
 from quadexp.report.frame import SweepFrame
 from quadexp.report.metrics import flight_metrics, to_columns
 from quadexp.report.pairing import BASELINE, Groups
 from quadexp.report.significance import Tests
-from quadexp.report.view import automatic
 from quadexp.report.winner import verdict
 from tests.log.flights import straight_flight
 

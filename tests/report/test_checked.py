@@ -6,9 +6,9 @@ import shutil
 import pytest
 
 from quadexp.log.cell_store import CellStore
+from quadexp.plugins.page.report import make_report
 from quadexp.report.checked import check_flights
 from quadexp.report.frame import read_results
-from quadexp.report.page import make_report
 from tests.cli.command import run
 from tests.report.results import make_results
 

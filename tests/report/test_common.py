@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from quadexp.log.store import write_table
+from quadexp.plugins.page.document import cell_of
+from quadexp.plugins.page.report.answer import answer
+from quadexp.plugins.page.report.sections import numbers, scoreboard
+from quadexp.plugins.page.report.source import read_comparison
+from quadexp.plugins.page.sweep_figures import path_grids
 from quadexp.report.compare import compare
-from quadexp.report.document import cell_of
 from quadexp.report.metrics import to_columns
-from quadexp.report.page.answer import answer
-from quadexp.report.page.sections import numbers, scoreboard
-from quadexp.report.page.source import read_comparison
 from quadexp.report.pairing import Flights, common, flew_least, whole
 from quadexp.report.statistics import compute_statistics, overall
 from quadexp.report.tables import cell_text, error_table
-from quadexp.sweeps.figures import path_grids
 from tests.report.results import speed_figure, verdicts
 from tests.report.test_tables import row
 

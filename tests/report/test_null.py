@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from quadexp.bench.ranking import standings
+from quadexp.plugins.bench.ranking import standings
+from quadexp.plugins.page.view import points
 from quadexp.report.frame import SweepFrame
 from quadexp.report.pairing import Groups
 from quadexp.report.significance import Tests
-from quadexp.report.view import points
 from quadexp.report.winner import best_of_lines, verdict
-from tests.bench.rows import row as bench_row
+from tests.plugins.bench.rows import row as bench_row
 from tests.report.test_tables import row
 
 NAMES = ("nominal_mpc", "gp_mpc", "rls_mpc", "pid", "geometric")

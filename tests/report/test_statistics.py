@@ -189,7 +189,7 @@ class TestOverall:
             "gp_mpc", [1.0 + 0.1 * s for s in range(8)], speed=8.0
         )
         (gp,) = overall(rows)
-        assert (gp.conditions, gp.units) == (1, 8) and gp.left_out == "2 not in every condition"
+        assert (gp.conditions, gp.units) == (1, 8) and gp.left_out == "2 with a seed that another condition lacks"
 
     def test_failures_are_counted(self):
         rows = errors("nominal_mpc", [0.2, 0.3, "lost"]) + errors("gp_mpc", [0.1, "lost", 0.1])

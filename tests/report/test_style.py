@@ -5,10 +5,13 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
-from quadexp.report.page.source import read_comparison
-from quadexp.report.style import CYCLE, GLYPHS, HUES, LOOKS, MODELS, SHADES, looks, plain_log, shaded
+from quadexp.parts.options import OptionFiles
+from quadexp.plugins.page.report.source import read_comparison
+from quadexp.report.style import CYCLE, GLYPHS, HUES, LOOKS, MODELS, SHADES, difference, looks, plain_log, shaded
 from tests.report.results import ERRORS, make_results, speed_figure
 from tests.report.test_tables import row
 
@@ -73,12 +76,12 @@ def test_no_two_can_be_mistaken(names):
     assert len({look.marker for look in worn}) == len({look.hue for look in worn}) == len(names)
 
 
-def test_variants_share_a_hue_and_the_first_has_the_look_itself():
+def test_variants_share_a_marker_and_the_first_has_the_look_itself():
     labels = ["nominal_mpc @ideal", "nominal_mpc @simplified", "gp_mpc a @simplified", "gp_mpc b @simplified"]
     worn = looks(labels)
     assert list(worn) == labels
     assert [worn[label].filled for label in labels] == [True, False, True, False]
-    assert worn["nominal_mpc @ideal"].hue == worn["nominal_mpc @simplified"].hue == LOOKS["nominal_mpc"].hue
+    assert worn["nominal_mpc @ideal"].marker == worn["nominal_mpc @simplified"].marker == LOOKS["nominal_mpc"].marker
     assert worn["nominal_mpc @ideal"].colour == LOOKS["nominal_mpc"].colour == shaded("grey")
     assert worn["gp_mpc a @simplified"].colour != worn["gp_mpc b @simplified"].colour
     assert worn["gp_mpc a @simplified"].dash != worn["gp_mpc b @simplified"].dash
@@ -98,12 +101,31 @@ def test_who_states_no_look_is_told_from_everybody():
     assert {name: worn[name] for name in FLIERS} == looks(FLIERS)
 
 
-def test_remedies_are_told_apart_and_the_first_have_the_hue_of_their_controller():
+SHIPPED = [
+    *OptionFiles().options("controller"),
+    *(f"{name}+{remedy}" for name in ("nominal_mpc", "gp_mpc", "dfbc", "pid") for remedy in ("l1", "indi", "wind")),
+]
+
+
+@given(labels=st.lists(st.sampled_from(SHIPPED), min_size=2, max_size=len(HUES), unique=True))
+def test_the_colours_of_any_selection_of_shipped_controllers_can_be_told_apart(labels):
+    """As many as there are hues. Ten is four just noticeable differences; of normal vision more is asked for."""
+    colours = [look.colour for look in looks(labels).values()]
+    assert least_difference(colours, "normal") > 25
+    assert min(least_difference(colours, vision) for vision in VISIONS) > 10
+
+
+def test_the_difference_of_two_colours_is_that_of_another_computation():
+    for a, b in combinations(HUES.values(), 2):
+        assert difference(a, b) == pytest.approx(np.linalg.norm(lab(linear(a)) - lab(linear(b))), rel=1e-6)
+
+
+def test_remedies_are_told_apart_and_have_the_marker_of_their_controller():
     names = ["none", "wind", "wind+strapdown", "l1", "indi", "delay", "l1+indi", "wind+delay", "belief"]
     labels = ["nominal_mpc", "gp_mpc", *(f"gp_mpc+{name}" for name in names[1:]), "nominal_mpc+wind", "pid", "dfbc"]
     worn = looks(labels)
     assert len({look.colour for look in worn.values()}) == len(labels)
-    assert {worn[f"gp_mpc+{name}"].hue for name in names[1:4]} == {"blue"} and worn["nominal_mpc+wind"].hue == "grey"
+    assert {worn[f"gp_mpc+{name}"].marker for name in names[1:]} == {worn["gp_mpc"].marker}
     assert worn["gp_mpc"].filled and not worn["gp_mpc+wind"].filled
 
 

@@ -139,7 +139,7 @@ class TestIntervals:
         assert 1e3 * gp.mean == pytest.approx((sum(4 + 0.1 * s for s in range(6)) + 4) / 7) and gp.common == 6
         mean, text = f"{1e3 * gp.common_mean:.2f}", f"[{1e3 * gp.common_low:.2f}, {1e3 * gp.common_high:.2f}]"
         table = error_table(rows)
-        assert table.rows[1][-1] == f"**{mean}** {text}* (own {1e3 * gp.mean:.2f} of 7)"
+        assert table.rows[1][-1] == f"**{mean}** {text}* (all 7: {1e3 * gp.mean:.2f})"
         assert table.rows[1][-2].endswith("] (1 lost)")
         latex = table.latex()
         assert rf"\textbf{{{mean}}} {text}$^*$" in latex and r"flown &  & 6 of 7 & 7 of 7 \\" in latex

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from quadexp.log.store import write_table
+from quadexp.plugins.page.report.answer import answer
+from quadexp.plugins.page.report.sections import numbers
+from quadexp.plugins.page.report.source import read_comparison
 from quadexp.report.inference import log_ratio
 from quadexp.report.metrics import to_columns
-from quadexp.report.page.answer import answer
-from quadexp.report.page.sections import numbers
-from quadexp.report.page.source import read_comparison
 from quadexp.report.tables import error_table
 from tests.report.results import verdicts
 from tests.report.test_tables import row

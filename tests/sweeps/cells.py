@@ -20,6 +20,11 @@ def add(a, b):
     return a + b
 
 
+def built_engine(config):
+    """The engine that a configuration names."""
+    return config.engine.build(config.evaluate)
+
+
 def run_cells(function, jobs, *, workers=0, timeout=None, preload=()):
     """Key and result of every job, in processes of its own."""
     with Workers(workers, preload=preload) as processes:

@@ -32,7 +32,7 @@ if __name__ == "__main__":
     out, address, *overrides = sys.argv[1:]
     engine = None
     if address:
-        from tests.sweeps.test_dask import at
+        from tests.plugins.cluster.test_dask import at
         engine = at(address)
     say = lambda done, total: print(done, flush=True)
     try:

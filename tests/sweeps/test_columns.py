@@ -6,10 +6,10 @@ import pytest
 import quadexp as qx
 from quadexp.parts.cells import varied
 from quadexp.parts.compose import expand
+from quadexp.plugins.page.view import view
 from quadexp.report.frame import SweepFrame, setting_column
 from quadexp.report.pairing import condition_of, contestant_of
 from quadexp.report.tables import comparison_table
-from quadexp.report.view import view
 from quadexp.sweeps.sweep import run_sweep
 from tests.cli.command import run
 from tests.sweeps.cells import quick_cell

@@ -7,9 +7,9 @@ import pytest
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight
 from quadexp.parts.compose import expand
+from quadexp.plugins.page.report.sections import worst
+from quadexp.plugins.page.report.source import read_comparison
 from quadexp.report.metrics import mean_error, position_error
-from quadexp.report.page.sections import worst
-from quadexp.report.page.source import read_comparison
 from quadexp.sweeps.sweep import run_sweep
 from tests.cli.command import run
 

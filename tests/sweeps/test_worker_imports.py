@@ -141,8 +141,8 @@ class TestDask:
         pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 
     def test_a_worker_of_another_quadexp_is_refused_by_name(self, tmp_path):
-        from tests.sweeps.dask_cluster import Cluster
-        from tests.sweeps.test_dask import on
+        from tests.plugins.cluster.dask_cluster import Cluster
+        from tests.plugins.cluster.test_dask import on
 
         copy = copy_of_the_package(tmp_path / "copy", drag=True)
         cluster = Cluster(tmp_path / "cluster", workers=0)
@@ -155,8 +155,8 @@ class TestDask:
         assert not [name for name in files(tmp_path / "r") if name.endswith(".parquet")]
 
     def test_a_worker_with_another_part_of_the_users_is_refused_by_name(self, tmp_path, monkeypatch):
-        from tests.sweeps.dask_cluster import Cluster
-        from tests.sweeps.test_dask import on
+        from tests.plugins.cluster.dask_cluster import Cluster
+        from tests.plugins.cluster.test_dask import on
 
         for name, more in (("mine", ""), ("theirs", "# theirs\n")):
             (tmp_path / name / "trajectory").mkdir(parents=True)

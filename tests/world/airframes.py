@@ -6,9 +6,9 @@ import numpy as np
 
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.physics.state import ATTITUDE
+from quadexp.plugins.logs.from_model import FromModelPlant
+from quadexp.plugins.papers.lei_li.plant import BladeElementEffects, BladeElementPlant
 from quadexp.world import PlantEffects, SimplifiedPlant
-from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant
-from quadexp.world.from_model import FromModelPlant
 from quadexp.world.streams import Sampled
 from tests.models.residuals import BLADE, with_rotors
 

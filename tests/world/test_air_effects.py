@@ -14,10 +14,10 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.plugins.worlds.dryden import Dryden
+from quadexp.plugins.worlds.slung_load import SlungLoad
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.disturbance import Disturbance
-from quadexp.world.dryden import Dryden
-from quadexp.world.slung_load import SlungLoad
 from quadexp.world.true_vehicle import with_factors, with_payload
 from quadexp.world.world import World
 from tests.world.airframes import REST, ideal

@@ -7,9 +7,9 @@ from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.models.residual import no_residual
+from quadexp.plugins.worlds.battery import Battery
 from quadexp.reference.hover import Hover
 from quadexp.world.actuator import Actuator
-from quadexp.world.battery import Battery
 from quadexp.world.rotor_loss import RotorLoss
 from quadexp.world.world import World
 from tests.models.residuals import with_rotors

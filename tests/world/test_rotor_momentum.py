@@ -14,8 +14,8 @@ from quadexp.parts import crazyflies
 from quadexp.parts.compose import compose
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE
+from quadexp.plugins.foreign.drone_models import derivative
 from quadexp.world.actuator import Actuator
-from quadexp.world.drone_models import derivative
 from quadexp.world.true_vehicle import TrueVehicle
 from quadexp.world.world import World
 from tests.composing import _from_nothing  # noqa: F401 - what is installed changes from test to test

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, RATE
+from quadexp.plugins.papers.lei_li.plant import BladeElementEffects, BladeElementPlant
 from quadexp.world.actuator import Actuator
-from quadexp.world.blade_element import BladeElementEffects, BladeElementPlant
 from quadexp.world.effect import Clock, Start
 from quadexp.world.rotor_loss import RotorLoss
 from quadexp.world.world import World

@@ -18,8 +18,8 @@ from quadexp.parts.compose import compose
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.telegram import dshot_speed, in_steps
+from quadexp.plugins.worlds.battery import Battery
 from quadexp.world.actuator import Actuator
-from quadexp.world.battery import Battery
 from quadexp.world.channel import DRIFT
 from quadexp.world.effect import Clock
 from quadexp.world.history import History

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from quadexp.physics.state import RATE, VELOCITY
-from quadexp.world.dryden import N_FILTER, Dryden
+from quadexp.plugins.worlds.dryden import N_FILTER, Dryden
+from quadexp.plugins.worlds.motion_capture import ImuMocap
 from quadexp.world.link import Latency
-from quadexp.world.motion_capture import ImuMocap
 from quadexp.world.sensors import Sensors
 from quadexp.world.simplified import PlantEffects, SimplifiedPlant
 from quadexp.world.stated_estimate import StatedEstimate

@@ -11,9 +11,9 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
-from quadexp.world import dryden
+from quadexp.plugins.worlds import dryden
+from quadexp.plugins.worlds.wind_record import COLUMNS, read_wind
 from quadexp.world.gust import one_minus_cosine
-from quadexp.world.wind_record import COLUMNS, read_wind
 
 AMPLITUDE = ca.DM([3.0, -2.0, 0.5])
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
+from quadexp.plugins.worlds.battery import Battery
 from quadexp.world.actuator import Actuator
-from quadexp.world.battery import Battery
 from quadexp.world.constant_wind import ConstantWind
 from quadexp.world.link import Latency
 from quadexp.world.stated_estimate import StatedEstimate

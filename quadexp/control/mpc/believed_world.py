@@ -1,7 +1,7 @@
 """Planning in the world that an observer believes in (control.belief): what a control step does before the plan.
 
-    estimate      an observer's update (control.observers), where the controller has one; otherwise the belief is given
-    disturbance   F / m and J^-1 tau are parameters of the prediction model
+    estimate      an observer's update (plugins.remedies.observers), where the controller has one; otherwise the
+    belief is given disturbance   F / m and J^-1 tau are parameters of the prediction model
     wind          the plan is made in a frame that moves with the air: v - w, p - o, and p*(t) - o - w t over the
                   horizon, with o' = w. In a constant wind the equations of motion there are those of still air, so that
                   nothing changes in the model. Where the wind is believed to be another, the last solution is moved.
@@ -39,8 +39,8 @@ MOVED = 0.5  # m/s: with a smaller change of the wind the last solution is a goo
 
 @dataclass(frozen=True)
 class Estimator:
-    """An observer for a BelievedWorld: its update with settings (control.observers.observer), and what it is told of
-    the commands' delays."""
+    """An observer for a BelievedWorld: its update with settings (plugins.remedies.observers.observer), and what it is
+    told of the commands' delays."""
 
     update: ca.Function
     settings: np.ndarray

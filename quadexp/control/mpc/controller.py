@@ -24,6 +24,7 @@ class PredictiveController(InOperations):
     """A ModelPredictiveController as a Controller (see control.base). record: of its last step."""
 
     reference_period = 0.0
+    learns = False  # whether it explains the accelerometer by what it learns in flight
 
     def __init__(self, mpc: ModelPredictiveController) -> None:
         self.mpc = mpc

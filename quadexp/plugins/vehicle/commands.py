@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 
 from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Out, Overrides, command
 
+HEADING = "Extend"
+
 
 @command
 def export_controller(

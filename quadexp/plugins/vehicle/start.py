@@ -20,10 +20,10 @@ from quadexp.control.inputs import Inputs, at_start
 from quadexp.control.laws.explicit import ExplicitController
 from quadexp.control.layer import Layer
 from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.observers.observer import ObservingMPC
 from quadexp.control.wrapped import innermost, layers
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.plugins.remedies.observers.observer import ObservingMPC
 
 TRIALS = 3  # states with which the function is compared with Python
 EQUAL = 1e-12  # relative difference of what both leave

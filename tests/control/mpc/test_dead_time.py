@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from quadexp.control.auto.ahead import CommandsAhead
 from quadexp.control.instant import run
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.dead_time import DeadTimePredictor
@@ -16,11 +15,12 @@ from quadexp.errors import UsageError
 from quadexp.experiment.loop_margins import hover_loop
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.physics.rigid_body import corrected_function
+from quadexp.plugins.auto.ahead import CommandsAhead
+from quadexp.plugins.logs.from_model import FromModelPlant
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.actuator import Actuator
-from quadexp.world.from_model import FromModelPlant
 from quadexp.world.link import Latency
 from quadexp.world.world import World
 from tests.control.mpc.delayed import DelayedPlant

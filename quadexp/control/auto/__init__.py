@@ -1,1 +1,0 @@
-"""One setting for a vehicle that nobody measured: what is late, off, or blown, believed as far as the evidence goes."""

@@ -1,5 +1,0 @@
-"""The comparison of Sun et al. 2022: tables and a figure of a sweep, beside what is printed."""
-
-from quadexp.papers.sun.report import draw, overview
-
-__all__ = ["draw", "overview"]

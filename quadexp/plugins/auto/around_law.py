@@ -1,0 +1,214 @@
+"""A law in closed form under one setting: it is told the state and the reference of the time at which its command acts.
+
+    late -> now -> observer of the force, told to the law -> in dead time and lag (Sooner) -> law
+
+A law that cannot be told a force or wind is told of the delays only.
+
+Where the velocity of the path jumps, a law would ask for more than the vehicle has, tilt it beyond the horizontal and
+fall. So what is told goes over to the path behind the jump already before it, with an offset e that makes both ends
+meet and dies out as fast as the vehicle accelerates, a = min(SHARE sqrt((T_max / m)^2 - g^2), STEEPEST g):
+
+    e'' = c,  c' = TURNS (u - c),    u = 2 BACK (-min(BACK / 2, sqrt(2 BRAKES a / |e|)) e - e'),  |u| <= a
+
+with e and e' of the time 1 / TURNS ahead in u, as thrust turns. A path without jumps is told as it is.
+"""
+
+from __future__ import annotations
+
+import copy as copying
+import math
+from typing import Any
+
+import numpy as np
+
+from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
+from quadexp.compile.symbolic import ca
+from quadexp.control.base import N_BELIEF, Window
+from quadexp.control.built import built
+from quadexp.control.delivered import SentCommands
+from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of
+from quadexp.control.wrapped import WrappedController
+from quadexp.models.residual import no_residual
+from quadexp.parts.sensor_sheet import SensorSheet
+from quadexp.physics.expression import dense_function, named_symbols
+from quadexp.physics.state import N_STATE, POSITION, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.auto.ahead import Ahead, CommandedThrust, sent_commands
+from quadexp.plugins.auto.auto import Auto
+from quadexp.plugins.auto.decide import Decision
+from quadexp.plugins.auto.settings import BANK, PATH
+
+DERIVATIVES = 5  # of the path: position .. snap
+LONGEST = BANK.largest_dead_time + BANK.largest_lag  # s, that a law is told ahead
+
+
+class AutoLaw(Auto):
+    """A law."""
+
+    def __init__(self, core: Any, sheet: SensorSheet) -> None:
+        world = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}
+        commands = sent_commands(core.vehicle, core.control_period)
+        sooner = Sooner(core, commands, world)
+        super().__init__(sooner, core, sheet, no_residual(core.vehicle), world, commands)
+        self._sooner, self._thrust = sooner, CommandedThrust(commands, self.control_period, core.backend)
+        self._spacing = self.control_period / PATH.samples
+        longest = LONGEST + max(PATH.looks + 2 * self.control_period, core.node_times[-1])
+        self.node_times = self._spacing * np.arange(math.ceil(longest / self._spacing) + 2)
+        core.rows = self._rows
+        self._use(Decision())
+
+    def _compared(self, told: Told, now: np.ndarray) -> tuple[list[Operation], dict[str, np.ndarray], np.ndarray]:
+        """See Auto."""
+        known = {"x": now, "reading": told.force, "thrust": self._thrust.thrust, "mean": self._thrust.mean}
+        return self._thrust.before(), known, told.read
+
+    def _plan(self, decision: Decision) -> None:
+        """See Auto."""
+        dead_time, lag = decision.dead_time, decision.lag
+        if not self.believes:  # in the world of the model alone, predicting further would mislead it
+            dead_time = lag = 0.0
+        self._thrust.tune(dead_time, lag)
+        first = round((dead_time + lag) / self._spacing)
+        looks = first + round(PATH.looks / self._spacing)
+        self._sooner.tune(dead_time, lag, looks, looks * self._spacing)
+        self._rows[...] = first + np.round(self._core.node_times / self._spacing)
+
+
+class Sooner(WrappedController):
+    """A law that is told the state and the reference of the time at which its command acts.
+
+    commands: that were sent. world: what is believed of it, for the prediction, written here.
+    """
+
+    def __init__(self, core: Any, commands: SentCommands, world: dict[str, np.ndarray]) -> None:
+        super().__init__(core)
+        residual = no_residual(core.vehicle)
+        self._ahead = Ahead(core.vehicle, residual, core.backend, commands, world, LONGEST)
+        self._rows = np.zeros(3)  # of the reference
+        self._later = built(core.backend, later, core.vehicle, core.control_period)
+        self.memory, self._believed = Memory("Sooner", sizes_of([self._later])), Memory("Believed", worked=world)
+        self._tuned = {"ahead": np.zeros(1), "at": np.zeros(1)}
+        self._world = BufferedFunction(built(core.backend, world_of, core.vehicle), into=world)
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        super().reset(x, window)
+        self.memory.begin({})
+        self._believed.commit()
+
+    @property
+    def believed_numbers(self) -> np.ndarray:
+        """Of the law; (11,)."""
+        inner: Any = self.inner
+        numbers: np.ndarray = inner.believed_numbers
+        return numbers
+
+    def believe(self, belief: Any) -> None:
+        """See control.base.Belief."""
+        self.believed_numbers[:] = np.hstack([*belief])
+
+    def tune(self, dead_time: float, lag: float, row: int, at: float) -> None:
+        """What commands wait and lag from now on (s). row: of the reference, `at` (s), from which a jump is seen."""
+        self._ahead.tune(0.0, dead_time + lag, dead_time, lag)
+        self._tuned["ahead"][0], self._tuned["at"][0] = dead_time + lag, at
+        self.memory.of_now["goes_on"][0] = self.memory.of_next["goes_on"][0] = 0.0
+        self._rows[...] = row + PATH.samples * np.arange(3)
+
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant."""
+        left = {"path_then": np.zeros((DERIVATIVES, 3)), "yaw_then": np.zeros(4)}
+        predicted, then = self._ahead.before(state)
+        states, thrusts = np.zeros((3, N_STATE)), np.zeros((2, self.vehicle.n_rotors))
+        places = {"states": states, "path": told.path, "yaw": told.yaw, **self._tuned}
+        operations = [Operation("window", states, self._rows, thrusts)]
+        operations.append(call(connected(self._later, places, left, self.memory)))
+        inside = copying.copy(told)
+        inside.path, inside.yaw = left["path_then"], left["yaw_then"]  # type: ignore[assignment]  # of these shapes
+        inner = instant_of(self.inner, inside, then)
+        if hasattr(self.inner, "believed_numbers"):
+            world, found = self._world.arguments, self._world.results
+            believed = [copy(world["belief"], self.believed_numbers), copy(world["path"], left["path_then"])]
+            operations = [*operations, *believed, call(self._world), copy(self.believed_numbers[:3], found["force"])]
+        memory = (*inner.memory, self.memory, self._believed)
+        return inner._replace(operations=[*predicted, *operations, *inner.operations], memory=memory)
+
+
+def later(vehicle: Vehicle, period: float) -> ca.Function:
+    """path (3, 5): position .. snap, yaw (4,): heading, rate, acceleration, drift; ahead (s) -> both then, the path
+    with its offset.
+
+    states: of the reference, (3, 13), a period apart, the first at a time `at` from now (s). coming: a jump of the
+    velocity that they showed (m/s), and in which time it is (s), 0 for none, (4,). before: what path then was in the
+    last step, where it `goes_on`, (3, 5). offset: e, e', c, (3, 3), see the module. These four are remembered.
+    """
+    shapes = {"path": (3, DERIVATIVES), "yaw": 4, "ahead": 1, "states": (N_STATE, 3), "at": 1}
+    kept = {"coming": 4, "before": 3 * DERIVATIVES, "goes_on": 1, "offset": 9}
+    inputs = named_symbols(ca.SX, shapes | {NOW + name: size for name, size in kept.items()})
+    path, yaw, ahead, states, at, coming, before, goes_on, offset = inputs.values()
+    before, offset = ca.reshape(before, 3, DERIVATIVES), ca.reshape(offset, 3, 3)
+
+    def then(rows: list[ca.SX], ahead: Any) -> list[ca.SX]:
+        return [
+            sum((ahead**j / math.factorial(j) * row for j, row in enumerate(rows[i:])), ca.SX(0))
+            for i in range(len(rows))
+        ]
+
+    pushed = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
+    most = min(PATH.share * math.sqrt(pushed**2 - vehicle.gravity**2), PATH.steepest * vehicle.gravity)
+    least = 2 * most * period
+
+    p, v = ca.horzsplit(states[POSITION, :]), ca.horzsplit(states[VELOCITY, :])
+    last, jump = v[1] - v[0], v[2] - v[1] - (v[1] - v[0])
+    shows = (ca.norm_2(jump) > least) * (ca.norm_2(v[2] - v[1]) > ca.norm_2(last)) * (coming[3] <= 0)
+    since = ca.dot(p[2] - p[1] - period * v[1], jump) / ca.fmax(ca.sumsqr(jump), PATH.ended)
+    jump = ca.if_else(shows, jump, coming[:3])
+    left = ca.if_else(shows, at + 2 * period - since, coming[3] - period)
+    seen = (left > PATH.ended) * (left - ahead < PATH.early * ca.norm_2(jump) / most)
+
+    moved, expected = then(ca.horzsplit(path), ahead), then(ca.horzsplit(before), period)
+    moved[0] += seen * (ahead - left) * jump
+    moved[1] += seen * jump
+    jumps = goes_on * (ca.norm_2(moved[1] - expected[1]) > least)
+    e, e_1, c = then(ca.horzsplit(offset), period)
+    e, e_1 = e - jumps * (moved[0] - expected[0]), e_1 - jumps * (moved[1] - expected[1])
+
+    far, fast, _ = then([e, e_1, c], 1 / PATH.turns)
+    wanted = -ca.fmin(PATH.back / 2, ca.sqrt(2 * PATH.brakes * most / ca.fmax(ca.norm_2(far), PATH.ended))) * far
+    u = 2 * PATH.back * (wanted - fast)
+    u *= most / ca.fmax(ca.norm_2(u), most)
+    jerk = PATH.turns * (u - c)
+    after = ca.horzcat(e, e_1, c + period * jerk)
+    lasts = ca.sumsqr(after) > PATH.ended**2
+    results = {
+        "path_then": ca.horzcat(*moved) + lasts * ca.horzcat(after, jerk, ca.SX.zeros(3)),
+        "yaw_then": ca.vertcat(*then(ca.vertsplit(yaw[:3]), ahead), yaw[3]),
+        f"{NEXT}coming": ca.vertcat(jump, ca.fmax(left, 0)),
+        f"{NEXT}before": ca.vec(ca.horzcat(*moved)),
+        f"{NEXT}goes_on": 1,
+        f"{NEXT}offset": ca.vec(lasts * after),
+    }
+    return dense_function("later", inputs, results)
+
+
+def world_of(vehicle: Vehicle) -> ca.Function:
+    """What a law is told of a force, and the prediction of the world: push (6,), acceleration, world, and angular
+    acceleration, body; wind (3,); scale of the thrust.
+
+    belief: (11,). path (3, 5): position .. snap, that the law is told. A force F is told as far as there is thrust left
+    beside what the path takes, with b = m (a + g e_z) the largest share s of it, up to 1, for which
+
+        |b - s F| <= TURNING n T_max
+
+    and where the path alone takes more, the share that brings the thrust nearest to that.
+    """
+    belief, path = ca.SX.sym("belief", N_BELIEF), ca.SX.sym("path", 3, DERIVATIVES)
+    force, spin = belief[:3], ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), belief[3:6])
+    taken = vehicle.mass * (path[:, 2] + ca.vertcat(0, 0, vehicle.gravity))
+    most = PATH.turning * vehicle.n_rotors * vehicle.thrust_max * belief[9]
+    along, square = ca.dot(taken, force), ca.fmax(ca.sumsqr(force), PATH.ended**2)
+    share = (along + ca.sqrt(ca.fmax(along**2 + square * (most**2 - ca.sumsqr(taken)), 0))) / square
+    told = ca.fmin(ca.fmax(share, 0), 1) * force
+    push = ca.vertcat(force / vehicle.mass, spin)
+    results = {"push": push, "wind": belief[6:9], "scale": belief[9], "force": told}
+    return ca.Function("believed_push", [belief, path], [*results.values()], ["belief", "path"], [*results])

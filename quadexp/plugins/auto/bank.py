@@ -1,0 +1,261 @@
+"""The bank: sufficient statistics of Kalman filters for all hypotheses of age, dead time and lag (Magill 1965).
+
+    gyro      w+ = w + T (J^-1 (tau - w x J w) + b),   b+ = b + noise      tells age + dead time, and lag
+    thrust    f_z = (1 + k) T_z / m + a_air,z + b,     b+ = b + noise      tells dead time and lag
+    velocity  v+ = v + T (R (f(t - age) - beta) + g)                       tells the age
+    attitude  q+ = q Exp(T (w(t - age) - beta_w))                          tells it where the gyroscope is prompt
+
+All hypotheses share the stationary gain of a noise model, so a filter is linear, and its innovation is an affine
+function of the hypothesis' impulse response h on the commands, or on the readings (responses.py):
+
+    nu = y - h' phi        y: the filter driven by the readings;  phi_j: by the command j periods ago alone
+
+As in a linear regression (Ljung 1999, ch. 4 and 10), the sum of squared innovations of every hypothesis follows from
+
+    M = sum of fading z z',   z = [y, y before, phi_0 .. phi_m]            sum nu^2 = [1, -h] M [1, -h]'
+
+z of the readings' filters: [innovation, the same of the period before]. A reading that is missing is a prediction
+without an update; once there is one again, it lies on the line between its neighbours.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from itertools import accumulate
+
+import numpy as np
+
+from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.symbolic import ca
+from quadexp.control.built import built
+from quadexp.control.delivered import SETTLED
+from quadexp.control.instant import Operation, Told, call, copy
+from quadexp.models.residual import Residual
+from quadexp.physics.rigid_body import body_features
+from quadexp.physics.rotation import product, rotation_matrix
+from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.auto.settings import BANK
+
+GYROS, AXES = len(BANK.gyro_models), 3
+
+
+def places(sizes: dict[str, int]) -> dict[str, slice]:
+    """Slices of an array that has parts of these sizes, one after another."""
+    ends = [*accumulate(sizes.values())]
+    return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+
+
+class Layout:
+    """Places in a bank's memory. period: s. commands, readings: how many count. columns: of a reading's filter, y, phi
+    of each reading and of each axis of its bias."""
+
+    def __init__(self, period: float) -> None:
+        reach = BANK.largest_age + BANK.largest_dead_time + SETTLED * BANK.largest_lag + period
+        self.commands = math.ceil(reach / period - 1e-9) + 1
+        self.readings = int(BANK.largest_age / period + 1e-9) + 3
+        self.columns, channels = 1 + self.readings + AXES, 2 * GYROS + 1
+        velocity = len(BANK.velocity_models) * self.columns
+        self.places = places(
+            {
+                "count": 1, "weights": 3, "x": N_STATE, "missed": 1, "forces": AXES * self.readings,
+                "rates": AXES * self.readings, "filters": 4 * channels, "regressors": channels * (self.commands + 3),
+                "velocity": AXES * velocity, "velocity_before": 2 * velocity, "attitude_before": AXES * self.columns,
+                "lateral": 1, "reading": 2, "change": 2, "drift": 6, "noise": 3,
+            }
+        )  # fmt: skip
+        self.size = self.places["noise"].stop
+
+
+class Bank:
+    """The sums of a flight; `reset` begins one, and its operations stand `after` the controller's.
+
+    theta: parameters of the residual, shared. noise: stated, of a reading of accelerometer (m/s^2), gyroscope (rad/s)
+    and attitude (rad). spans: over which readings of accelerometer and gyroscope are means (s).
+    period: of the bank (s), `every` control periods. moments: of gyro, thrust, velocity, attitude, (models, c, c).
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, residual: Residual, theta: np.ndarray, control_period: float, backend: str,
+        noise: tuple[float, float, float] = (0.0, 0.0, 0.0), spans: tuple[float, float] = (0.0, 0.0),
+    ) -> None:  # fmt: skip
+        self.vehicle, self.spans, self.every = vehicle, spans, max(1, round(BANK.period / control_period))
+        self.period = self.every * control_period
+        self.layout = layout = Layout(self.period)
+        function = built(backend, bank_function, vehicle, residual, self.period, self.every)
+        self._update = BufferedFunction(function, {"theta": theta})
+        given = self._update.arguments
+        self.memory, self._sent = given["memory"], given["u"]
+        self.stated = max(noise[0], BANK.least_reading)
+        self.turn_noise = (BANK.least_turn + noise[1]) * self.period, BANK.least_attitude + noise[2]
+        given["stated"][...] = self.stated
+        given["attitude_gain"][...] = first_order_gain(self.turn_noise[0] / self.turn_noise[1])
+        commands, both = layout.commands + 3, 2 * layout.columns
+        shapes = {"gyro": (GYROS, commands), "thrust": (1, commands)}
+        shapes |= {"velocity": (len(BANK.velocity_models), both), "attitude": (1, both)}
+        self.moments = {name: np.zeros((models, size, size)) for name, (models, size) in shapes.items()}
+
+    def part(self, name: str) -> np.ndarray:
+        """What the memory has under a name."""
+        return self.memory[self.layout.places[name]]
+
+    @property
+    def elapsed(self) -> float:
+        """Time with evidence (s)."""
+        return max(float(self.part("count")[0]) * self.period - BANK.settling, 0.0)
+
+    @property
+    def lateral_noise(self) -> float:
+        """Standard deviation of a reading across the thrust (m/s^2), within what a data sheet may be wrong by."""
+        return math.sqrt(self.part("lateral")[0])
+
+    @property
+    def position_noise(self) -> float:
+        """Standard deviation of the estimated position (m), as far as it is measured."""
+        return math.sqrt(max(self.part("noise")[1], 0.0)) * (self.elapsed > BANK.measured_after)
+
+    def reset(self, x: np.ndarray, thrust: np.ndarray) -> None:
+        """Begin a flight in the state x, (13,); this command, (n,) (N), has been sent for a long time."""
+        for array in (self.memory, *self.moments.values()):
+            array[...] = 0.0
+        specific, readings = thrust.sum() / self.vehicle.mass, self.layout.readings
+        self.part("x")[...], self.part("lateral")[...] = x, self.stated**2
+        self.part("forces")[...] = np.tile([0.0, 0.0, specific], readings)
+        self.part("rates")[...] = np.tile(x[RATE], readings)
+        filters = self.part("filters").reshape(4, -1)
+        filters[0] = [*np.tile(x[RATE][:2], GYROS), specific]
+        filters[2, -1] = specific
+        self.part("velocity").reshape(-1, self.layout.columns)[:, 0] = np.tile(x[VELOCITY], len(BANK.velocity_models))
+        self._sent[...] = self.every * thrust
+
+    def after(self, told: Told, state: np.ndarray, command: np.ndarray) -> list[Operation]:
+        """Takes in what is told, the state that is found there, (13,), and then the command, (n,) (N)."""
+        given, left = self._update.arguments, self._update.results
+        due = [copy(given["x"], state), copy(given["f"], told.force), copy(given["read"], told.read)]
+        due += [call(self._update), copy(self.memory, left["memory_next"])]
+        fading = math.exp(-self.period / BANK.forgetting)
+        for name, moments in self.moments.items():
+            rows = left[f"{name}_z"].reshape(len(moments), -1, moments.shape[-1])
+            due.append(Operation("gather", moments, rows, factor=fading))
+        due.append(copy(self._sent, np.zeros(self.vehicle.n_rotors)))
+        return [*(o._replace(every=self.every) for o in due), Operation("add", self._sent, self._sent, command)]
+
+
+@cache
+def stationary_gain(noise: float, walk: float, period: float) -> tuple[float, float]:
+    """Gains on rate and torque of the stationary filter of the gyroscope, see BankSettings.gyro_models."""
+    F, Q = np.array([[1.0, period], [0.0, 1.0]]), np.diag([BANK.rate_walk**2, walk**2]) * period
+    P = np.eye(2)
+    for _ in range(3000):
+        P = F @ P @ F.T + Q
+        K = P[:, 0] / (P[0, 0] + noise**2)
+        P = P - np.outer(K, P[0])
+    return float(K[0]), float(K[1])
+
+
+def first_order_gain(ratio: float) -> float:
+    """Gain of the stationary filter of a random walk, by the ratio of its walk in a step to the noise of a reading."""
+    variance = ratio**2 / 2 + math.sqrt(ratio**4 / 4 + ratio**2)
+    return variance / (variance + 1)
+
+
+def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: int) -> ca.Function:
+    """A period of the bank: memory after it, and the rows z of each filter, one after another.
+
+    Inputs: memory, see Layout; x (13,), told; f (3,), reading, and whether it was `read`; u (n,), the commands since
+    the last period, added (N); stated noise (m/s^2); attitude_gain, of its filter; theta.
+    """
+    layout, n = Layout(period), vehicle.n_rotors
+    m, readings, columns = layout.commands, layout.readings, layout.columns
+    shapes = {"memory": layout.size, "x": N_STATE, "f": 3, "read": 1, "u": n, "stated": 1, "attitude_gain": 1}
+    a = {name: ca.MX.sym(name, size) for name, size in (shapes | {"theta": residual.function.size1_in(1)}).items()}
+    kept = {name: a["memory"][place] for name, place in layout.places.items()}
+    x, last, read, count = a["x"], kept["x"], a["read"], kept["count"] + 1
+    f = ca.if_else(read, a["f"], kept["forces"][:3])
+    w, R, sent = x[RATE], rotation_matrix(x[ATTITUDE]), a["u"] / every
+    air = ca.densify(residual.function(body_features(x, sent), a["theta"])[0])
+    counts, time = count > BANK.settling / period, count * period
+
+    # gyroscope and thrust: y by the readings, phi by the newest command
+    inertia, middle = ca.DM(vehicle.inertia_matrix), (w + last[RATE]) / 2
+    inverse = ca.inv(inertia)
+    turning = -ca.mtimes(inverse, ca.cross(middle, ca.mtimes(inertia, middle)))[:2]
+    spin = ca.mtimes(ca.mtimes(inverse, ca.DM(vehicle.allocation[1:])), sent)[:2]
+    thrust_gain = first_order_gain(BANK.thrust_walk * math.sqrt(period) / BANK.thrust_noise)
+    gains = [stationary_gain(*model, period) for model in BANK.gyro_models for _ in range(2)]
+    gain, torque_gain = (ca.DM(one) for one in zip(*gains, (thrust_gain, 0.0), strict=True))
+    updates = ca.vertcat(ca.DM.ones(2 * GYROS), read)
+    driven = (
+        (ca.vertcat(*[w[:2]] * GYROS, f[2] - air[2]), ca.vertcat(*[turning] * GYROS, 0)),
+        (ca.vertcat(ca.DM.zeros(2 * GYROS), ca.sum1(sent) / vehicle.mass), ca.vertcat(*[-spin] * GYROS, 0)),
+    )
+    filters = ca.vertsplit(kept["filters"], 2 * GYROS + 1)
+    innovations, filters_next = [], []
+    for (reading, drive), value, bias in zip(driven, filters[::2], filters[1::2], strict=True):
+        predicted = value + period * (bias + drive)
+        innovations.append(updates * (reading - predicted))
+        filters_next += [predicted + gain * innovations[-1], bias + torque_gain * innovations[-1]]
+    z = ca.reshape(kept["regressors"], m + 3, -1)
+    z = ca.vertcat(innovations[0].T, z[0, :], innovations[1].T, z[2:-1, :])
+
+    # velocity: an axis a column
+    held, back = ca.reshape(kept["forces"], 3, readings), ca.DM(range(1, readings)).T
+    share = back / (kept["missed"] + 1)  # what was missing lies on the line between its neighbours
+    between = ca.mtimes(f, 1 - share) + ca.mtimes(held[:, 0], share)
+    forces = ca.horzcat(f, ca.if_else(ca.repmat(share < 1, 3, 1), between, held[:, :-1]))  # the newest first
+    q = x[ATTITUDE] + last[ATTITUDE] * ca.sign(ca.dot(x[ATTITUDE], last[ATTITUDE]))
+    turned = period * rotation_matrix(q / ca.norm_2(q))
+    gravity = period * vehicle.gravity * ca.DM([[0.0, 0.0, 1.0]])
+    drive = -ca.vertcat(gravity, ca.mtimes(turned, forces).T, turned.T)
+    reading = ca.vertcat(x[VELOCITY].T, ca.DM.zeros(columns - 1, 3))
+    velocities = ca.horzsplit(ca.reshape(kept["velocity"], columns, -1), 3)
+    befores = ca.horzsplit(ca.reshape(kept["velocity_before"], columns, -1), 2)
+    velocity_next, across, velocity_z = [], [], []
+    for velocity, before, noise in zip(velocities, befores, BANK.velocity_models, strict=True):
+        ratio = kept["lateral"] * (period / noise) ** 2
+        P = ratio / 2 + ca.sqrt(ratio**2 / 4 + ratio)
+        predicted = velocity + drive
+        velocity_next.append(predicted + P / (P + 1) * (reading - predicted))
+        # across the thrust: along it a force jumps with each command, between two readings
+        across.append(ca.mtimes(reading - predicted, R[:, :2]))
+        velocity_z.append(ca.vec(ca.vertcat(across[-1], before)))
+
+    # attitude: the same in body axes, of the rotation in a period
+    rates = ca.horzcat(w, ca.reshape(kept["rates"], 3, readings)[:, :-1])
+    back = ca.vertcat(last[ATTITUDE][0], -last[ATTITUDE][1:])
+    relative = product(back, x[ATTITUDE] * ca.sign(ca.dot(x[ATTITUDE], last[ATTITUDE])))
+    rotated = 2 * relative[1:] * (1 + ca.sumsqr(relative[1:]) / 6)  # the arc of a sine, to third order
+    flown = time > BANK.largest_age + 2 * period  # until then told attitudes may be those from before the flight
+    before = flown * ca.reshape(kept["attitude_before"], columns, 3)
+    attitude = ca.vertcat(rotated.T, period * rates.T, period * ca.DM.eye(3))
+    attitude = attitude + (1 - a["attitude_gain"]) * ca.mtimes(before, rotation_matrix(relative))
+
+    # white noise: minus the covariance of successive changes (local level model, Harvey 1989)
+    moved = x[POSITION] - last[POSITION] - period * (x[VELOCITY] + last[VELOCITY]) / 2
+    drift = ca.vertcat(moved, rotated - period * middle)
+    change = f[:2] - air[:2] - kept["reading"]
+    products = -drift * kept["drift"]
+    measured = (-ca.dot(change, kept["change"]) / 2, ca.sum1(products[:3]) / 3, ca.sum1(products[3:]) / 3)
+    share = ca.fmax(1 / (count + 5), period / BANK.noise_memory) * (count > 2) * ca.vertcat(read, 1, 1)
+    noise = kept["noise"] + share * (ca.vertcat(*measured) - kept["noise"])
+    within = [(a["stated"] * BANK.sheet_factor**sign) ** 2 for sign in (-1, 1)]
+    lateral = ca.fmin(ca.fmax(noise[0], within[0]), within[1])
+
+    now = {
+        "count": count, "x": x, "missed": (1 - read) * (kept["missed"] + 1), "forces": ca.vec(forces),
+        "rates": ca.vec(rates),
+        "weights": math.exp(-period / BANK.forgetting) * kept["weights"] + ca.vertcat(counts, counts * read, flown),
+        "filters": ca.vertcat(*filters_next), "regressors": ca.vec(z), "velocity": ca.vec(ca.horzcat(*velocity_next)),
+        "velocity_before": ca.vec(ca.horzcat(*across)), "attitude_before": ca.vec(attitude),
+        "lateral": ca.if_else(time > BANK.measured_after, lateral, a["stated"] ** 2),
+        "reading": kept["reading"] + read * change, "change": ca.if_else(read, change, kept["change"]),
+        "drift": drift, "noise": noise,
+    }  # fmt: skip
+    results = {
+        "memory_next": ca.vertcat(*(now[name] for name in layout.places)),
+        "gyro_z": counts * ca.vec(z[:, :-1]), "thrust_z": counts * z[:, -1],
+        "velocity_z": counts * read * ca.vertcat(*velocity_z),
+        "attitude_z": flown * ca.vec(ca.vertcat(attitude, before)),
+    }  # fmt: skip
+    return ca.Function("bank", [*a.values()], [*results.values()], [*a], [*results])

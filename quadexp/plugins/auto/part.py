@@ -1,0 +1,52 @@
+"""One setting as an option: delay=auto, or remedies=auto."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from quadexp.control.laws.explicit import ExplicitController
+from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.part import Remedy
+from quadexp.errors import UsageError
+from quadexp.parts.part import Given
+from quadexp.plugins.auto.around_law import AutoLaw
+from quadexp.plugins.auto.around_mpc import AutoMPC
+from quadexp.plugins.auto.auto import Auto
+from quadexp.plugins.auto.decide import grids
+from quadexp.plugins.auto.disturbance import speeds_tell
+
+
+@dataclass(frozen=True, kw_only=True)
+class AutoPart(Remedy):
+    """What is late, off or blown, found in flight; alone around a controller."""
+
+    prefix = "delay."
+    believes = True
+
+    def scales_air(self, given: Given) -> bool:
+        """See Remedy."""
+        return speeds_tell(given.vehicle, given.sheet)
+
+    def suited(self, settings: Any) -> Any:
+        """See Remedy. UsageError where it is told of what it finds itself, or to plan otherwise than it does."""
+        if settings.dead_time or settings.known_lag:
+            raise UsageError(
+                f"delay={self.name}: finds dead time and lag itself; controller.dead_time, controller.motor_lag and"
+                " controller.motor_lead must be 0"
+            )
+        if settings.input_hold == "command":
+            raise UsageError(f"delay={self.name}: plans with controller.input_hold=deviation only")
+        return grids(replace(settings, input_hold="deviation"))[0]
+
+    def put_around(self, controller: Any, given: Given) -> Auto:
+        """See Remedy. UsageError where the controller learns its model itself, or has other remedies around it."""
+        if type(controller) is PredictiveController:
+            return AutoMPC(controller, given.sheet)
+        if isinstance(controller, ExplicitController):
+            return AutoLaw(controller, given.sheet)
+        others = [remedy.prefix.rstrip(".") for remedy in given.remedies if remedy.prefix != self.prefix]
+        here = f"; set {' and '.join(f'{group}=none' for group in others)}" if others else ", which this one is not"
+        raise UsageError(
+            f"delay={self.name}: stands alone around an MPC whose model does not adapt, or a law in closed form{here}"
+        )

@@ -1,0 +1,217 @@
+"""From streams to a flight: one clock, gaps as segments, velocity where there is none, ground phases cut off.
+
+A log whose streams share one uniform clock keeps its numbers to the last bit.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from quadexp.errors import DataError, UsageError
+from quadexp.names import named
+from quadexp.physics.rotation import continuous
+from quadexp.physics.state import norms
+from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.logs.importers.ground import LEAST_ROWS, without_ground
+from quadexp.plugins.logs.importers.mapping import PLACES, ROTORS, Crop, columns_of
+from quadexp.plugins.logs.importers.raw import RawLog
+from quadexp.plugins.logs.signal import GAP_PERIODS, Stream, derivative
+from quadexp.plugins.logs.signal.resample import resample
+from quadexp.plugins.logs.units import UNITS
+
+HELD = ("motor_command", "rotor_thrust", "battery_voltage", "wind")
+SLOW = ("battery_voltage", "wind")  # known before their first sample and after their last
+LEAST_SHARE = {"reference": 0.95, "core": 0.1}  # of the flight that a stream must cover to have a say in its length
+CORE = ("acceleration", "rate", "attitude", "velocity", "position")
+QUATERNIONS = ("attitude", "reference_attitude")
+UNIFORM = 1e-3  # of a period: how far the steps of a clock may differ for it to be taken as uniform
+SHORTEST = 5  # rows of a segment
+MOST_ROWS = 8_000_000
+MOST_EMPTY = 20.0  # times as long as what has data: more is no gap, but a clock that jumps
+LONGEST = 7 * 86400.0  # s
+LIKELY_RATES = (20.0, 9000.0)  # Hz, of a log whose unit of time is wrong
+
+
+def assemble(
+    path: Path, log: RawLog, vehicle: Vehicle | None, *, rate: float | None, cropping: bool
+) -> tuple[dict[str, np.ndarray], bool]:
+    """Columns of a flight: a log brought to one clock of `rate` (Hz; None: its own), in the vehicle's order of rotors.
+    And whether the velocity is the derivative of the position.
+
+    cropping: whether to cut ground phases off as the log's mapping says. What was done is added to the notes and to
+    what there is to say about the log. Raises DataError where too little is left.
+    """
+    notes = log.notes
+    streams = {name: Stream(s.t, s.values) for name, s in log.streams.items() if len(s.t) >= 2}
+    notes += [f"{name}: one row only: left out" for name in log.streams if name not in streams]
+    _short_ones_out(streams, notes)
+    core = [name for name in CORE if name in streams]
+    if not core:
+        raise DataError(f"{path}: has neither {', '.join(CORE[:-1])} nor {CORE[-1]} in two rows or more")
+    _sort_rotors(path, streams, log.layout, vehicle, notes)
+    rates = {name: float(1 / np.median(np.diff(s.t))) for name, s in streams.items()}
+    start = min(streams[name].t[0] for name in core)
+    _check_clock(path, {name: streams[name] for name in core})
+    given = rate is not None
+    period = _shared_period(streams)
+    if period is not None and (rate is None or abs(rate * period - 1) < UNIFORM):
+        t = streams[core[0]].t
+        values = {name: s.values for name, s in streams.items()}
+        segment = np.zeros(len(t), np.int32)
+        rate = 1 / period
+    else:
+        rate = rate or _common_rate({name: rates[name] for name in core})
+        t, values, segment = _one_clock(path, streams, core, rate, notes)
+    if len(t) < LEAST_ROWS:
+        raise DataError(f"{path}: {len(t)} rows, {LEAST_ROWS} at least are needed")
+    between = np.zeros(len(t), bool)  # the rows of a reset, which are interpolated across it, and those of short pieces
+    for before, after in log.resets:
+        between |= (t > before) & (t < after)
+        segment = segment + (t > before) + (t >= after)
+    if log.resets:
+        between |= np.bincount(segment)[segment] < SHORTEST
+    columns = {"t": t}
+    for name in [*CORE[::-1], *(n for n in values if n not in CORE)]:
+        if name in values:
+            columns |= named(columns_of(name, values[name].shape[1]), values[name].T)
+    derived = "velocity" not in streams and "position" in streams
+    if derived:
+        velocity = derivative(t, values["position"], segment=segment, window=max(0.1, 5 / rate))
+        columns |= named(columns_of("velocity", 3), velocity.values.T)
+        notes.append(f"velocity: derivative of the position, to {velocity.bandwidth:.3g} Hz")
+    columns["segment"] = segment
+    kept = without_ground(t, values, log.crop if cropping else Crop("none"), notes) & ~between
+    t0, t1 = float(t[kept][0] - start), float(t[kept][-1] - start)
+    if not kept.all():
+        columns = {name: column[kept] for name, column in columns.items()}
+    columns["t"] = columns["t"] - columns["t"][0]
+    stretches = np.concatenate([[0], np.cumsum(np.diff(np.flatnonzero(kept)) > 1)]) * 1_000_000
+    columns["segment"] = np.unique(columns["segment"] + stretches, return_inverse=True)[1].astype(np.int32)
+    log.about |= {"rate": float(rate), "rates": rates, "resampled": period is None or given, "cropped": [t0, t1]}
+    return columns, derived
+
+
+def _short_ones_out(streams: dict[str, Stream], notes: list[str]) -> None:
+    """Leave out what was logged for a small part of the flight: all streams are cut to the time they share."""
+
+    def leave_out(name: str, covered: float, whole: float, share: float) -> None:
+        if covered < share * whole:
+            notes.append(f"{name}: {covered:.3g} s of {whole:.3g} s: left out")
+            del streams[name]
+
+    spans = {name: streams[name].t[-1] - streams[name].t[0] for name in CORE if name in streams}
+    for name, span in spans.items():
+        leave_out(name, span, max(spans.values()), LEAST_SHARE["core"])
+    core = [streams[name].t for name in CORE if name in streams]
+    begin, finish = max((t[0] for t in core), default=0.0), min((t[-1] for t in core), default=0.0)
+    for name in [name for name in streams if name.startswith("reference")]:
+        t = streams[name].t[(streams[name].t >= begin) & (streams[name].t <= finish)]
+        step = np.diff(t)
+        covered = float(step[step <= GAP_PERIODS * np.median(step)].sum()) if len(step) else 0.0
+        leave_out(name, covered, finish - begin, LEAST_SHARE["reference"])
+
+
+def _check_clock(path: Path, streams: dict[str, Stream]) -> None:
+    for name, stream in streams.items():
+        length, step = stream.t[-1] - stream.t[0], np.diff(stream.t)
+        covered = float(np.minimum(step, 10 * np.median(step)).sum())
+        if length > min(MOST_EMPTY * covered, LONGEST):
+            row, what = int(np.argmax(step)), "its clock jumps, or the unit of its time is wrong"
+            for unit in ("ms", "us", "ns"):
+                rate = 1 / (float(np.median(step)) * UNITS["time"][unit])
+                if LIKELY_RATES[0] <= rate <= LIKELY_RATES[1]:
+                    what += f": in {unit} its rows come at {rate:.4g} Hz, which `unit: {unit}` under `time:` says"
+                    break
+            raise DataError(f"{path}: {name} spans {length:.6g} s, {step[row]:.6g} s of it after row {row}: {what}")
+
+
+def _shared_period(streams: dict[str, Stream]) -> float | None:
+    """The period, where all streams share one uniform clock."""
+    first, *rest = streams.values()
+    if any(len(s.t) != len(first.t) or not (s.t is first.t or (s.t == first.t).all()) for s in rest):
+        return None
+    step = np.diff(first.t)
+    period = float(first.t[-1] - first.t[0]) / len(step)
+    return period if np.abs(step - period).max() < UNIFORM * period else None
+
+
+def _common_rate(rates: dict[str, float]) -> float:
+    """Rate of the accelerometer or gyro, but at most twice that of pose and velocity; a round number near it (Hz)."""
+    slow = [rates[name] for name in ("attitude", "velocity", "position") if name in rates]
+    fast = next((rates[name] for name in ("acceleration", "rate") if name in rates), None)
+    wanted = min(fast, 2 * min(slow)) if fast and slow else fast or min(slow)
+    for digits in (1, 2, 3):
+        near = float(f"{wanted:.{digits}g}")
+        if abs(near - wanted) < 0.005 * wanted:
+            return near
+    return wanted
+
+
+def _one_clock(
+    path: Path, streams: dict[str, Stream], core: list[str], rate: float, notes: list[str]
+) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
+    """Times, (k,) (s), values and segments, (k,), of all streams at the rate (Hz), over the time the core has data."""
+    begin = max(streams[name].t[0] for name in core)
+    end = min(streams[name].t[-1] for name in core)
+    if (end - begin) * rate > MOST_ROWS:
+        raise DataError(f"{path}: {end - begin:.4g} s at {rate:.4g} Hz are more than {MOST_ROWS} rows: lower --rate")
+    for name in [n for n in streams if n not in core]:
+        t, values = streams[name]
+        if name in SLOW:  # its first and last value are held to both ends
+            rows = np.concatenate([[t[0] > begin], np.ones(len(t), bool), [t[-1] < end]])
+            padded = np.pad(values, ((1, 1), (0, 0)), mode="edge")
+            streams[name] = Stream(np.concatenate([[begin], t, [end]])[rows], padded[rows])
+        elif t[0] > end or t[-1] < begin:
+            notes.append(f"{name}: has no time in common with {core[0]}: left out")
+            del streams[name]
+    for name in QUATERNIONS:
+        if name in streams:
+            norm = norms(streams[name].values)
+            if not (np.abs(norm - 1) < 0.1).all():
+                row = int(np.argmax(np.abs(norm - 1)))
+                raise DataError(f"{path}: {name}: quaternion norm {norm[row]:.4g} at row {row}, 1 is needed")
+            streams[name] = Stream(streams[name].t, continuous(streams[name].values))
+    gaps = {name: np.inf for name in SLOW if name in streams}
+    try:
+        resampled = resample(streams, rate, quaternions=QUATERNIONS, held=HELD, gaps=gaps)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from None
+    lost = int(np.round((end - begin) * rate)) + 1 - len(resampled.t)
+    if resampled.segment[-1] or lost > 1:
+        notes.append(f"gaps: {resampled.segment[-1] + 1} segments, {max(lost, 0) / rate:.3g} s without data")
+    return resampled.t, resampled.values, resampled.segment
+
+
+def _sort_rotors(
+    path: Path, streams: dict[str, Stream], layout: tuple[str, ...] | None, vehicle: Vehicle | None, notes: list[str]
+) -> None:
+    """Bring the streams of the rotors into the vehicle's order."""
+    signals = [name for name in ROTORS if name in streams]
+    if vehicle is None:
+        notes += ["rotors stand in the log's order: no --vehicle says which is where"] if signals else []
+        return
+    for name in signals:
+        t, values = streams[name]
+        if values.shape[1] != vehicle.n_rotors:
+            raise DataError(f"{path}: {name} of {values.shape[1]} rotors, but {vehicle.name} has {vehicle.n_rotors}")
+        if layout:
+            streams[name] = Stream(t, values[:, rotor_order(layout, vehicle)])
+
+
+def rotor_order(layout: tuple[str, ...], vehicle: Vehicle) -> list[int]:
+    """For every rotor of the vehicle, which of the log's motors it is.
+
+    Raises UsageError where a place has no rotor.
+    """
+    order = []
+    for i, (x, y, _) in enumerate(vehicle.rotor_position):
+        reach = 0.2 * max(abs(x), abs(y))
+        sign = (0 if abs(x) < reach else int(np.sign(x)), 0 if abs(y) < reach else int(np.sign(y)))
+        places = [k for k, place in enumerate(layout) if PLACES[place] == sign]
+        if len(places) != 1:
+            where = f"rotor {i} of {vehicle.name} is at x={x:g}, y={y:g} m"
+            raise UsageError(f"the log's motors are {', '.join(layout)}, but {where}")
+        order.append(places[0])
+    return order

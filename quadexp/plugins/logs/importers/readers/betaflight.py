@@ -1,0 +1,149 @@
+"""Betaflight's blackbox log (.bbl, .bfl), decoded by orangebox: the numbers as the firmware writes them, to SI and FLU.
+https://betaflight.com/docs/development/Blackbox-Internals
+
+    time                us
+    gyroADC[i]          gyro_scale of the header times deg/s: roll, pitch, yaw about x forward, y left, z up
+    accSmooth[i]        1/acc_1G of g
+    motor[i]            from motorOutput[0] (stopped) to motorOutput[1] (full)
+    eRPM[i]             hundreds of electrical turns a minute; motor_poles of the header over two is the pole pairs
+    vbatLatest          0.01 V (since 4.0)
+    imuQuaternion[i]    x, y, z of body to world times 2^15 - 1, w positive (since 4.5); the world's x where the
+                        heading is zero, z up
+
+Motors of frame X: back right, front right, back left, front left.
+"""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadexp.errors import DataError
+from quadexp.log.store import first_line
+from quadexp.physics.rotation import continuous
+from quadexp.plugins.logs.importers.raw import RawLog, sorted_stream
+from quadexp.plugins.logs.units import STANDARD_GRAVITY, UNITS
+
+ABOUT = "Betaflight; needs [betaflight]"
+HEAD = b"H Product:Blackbox"
+QUAD_X = ("back_right", "front_right", "back_left", "front_left")
+QUATERNION_SCALE = 2**15 - 1
+USUAL_POLES = 14
+USUAL_OUTPUT = (1000.0, 2000.0)
+
+Numbers = dict[str, np.ndarray]  # field of the log -> values, (k,)
+
+
+def recognises(path: Path, head: bytes | None) -> bool:
+    return (head or b"").startswith(HEAD)
+
+
+def read(path: Path, named: str) -> RawLog:
+    """Streams of the longest log of a file. Raises DataError where orangebox is missing, the file is damaged, or has
+    neither gyro nor accelerometer."""
+    notes: list[str] = []
+    header, fields = decoded(path, notes)
+    log = RawLog("betaflight", {}, "betaflight", notes=notes)
+    t = fields.get("time", np.zeros(0)) * UNITS["time"]["us"]
+    if len(t) < 2:
+        raise DataError(f"{path}: {len(t)} frames of flight data")
+    for name, values in quantities(header, fields).items():
+        log.streams[name] = sorted_stream(path, name, t, values, notes)
+    if not {"rate", "acceleration"} & log.streams.keys():
+        raise DataError(f"{path}: has neither gyroADC nor accSmooth: nothing that shows the motion was logged")
+    if "motor_command" in log.streams and log.streams["motor_command"].values.shape[1] == len(QUAD_X):
+        log.layout = QUAD_X
+    return log
+
+
+def decoded(path: Path, notes: list[str]) -> tuple[dict[str, Any], Numbers]:
+    """The header and the fields of the longest log of a file."""
+    try:
+        from orangebox import Parser
+    except ImportError:
+        text = "install `quadexp[betaflight]` to read it, or make a table of it: `blackbox_decode LOG.BBL`"
+        raise DataError(f"{path}: Betaflight's log: {text}") from None
+    try:
+        parser = Parser.load(str(path), allow_invalid_header=True)
+        count = parser.reader.log_count
+        if count > 1:
+            ends = [*parser.reader.log_pointers[1:], path.stat().st_size]
+            sizes = np.subtract(ends, parser.reader.log_pointers)
+            longest = int(np.argmax(sizes)) + 1
+            notes.append(f"{count} logs in one file: the longest, number {longest}, is read")
+            parser.set_log_index(longest)
+        names = list(parser.field_names)
+        rows = [frame.data[: len(names)] for frame in parser.frames() if frame.type.value in "IP"]
+        header = dict(parser.headers)
+    except Exception as error:  # damage raises what it likes
+        raise DataError(f"{path}: damaged ({type(error).__name__}: {first_line(error)})") from None
+    wanted = ("time", "gyroADC", "accSmooth", "motor[", "eRPM", "vbatLatest", "imuQuaternion")
+    fields: Numbers = {}
+    for place, name in enumerate(names):
+        if name.startswith(wanted):
+            fields.setdefault(name, np.array([_number(row, place) for row in rows], float))
+    return header, fields
+
+
+def _number(row: tuple[Any, ...], place: int) -> float:
+    """NaN where a frame has no such field, or text in it."""
+    value = row[place] if place < len(row) else None
+    return float(value) if isinstance(value, (int, float)) else np.nan
+
+
+def quantities(header: dict[str, Any], fields: Numbers) -> Numbers:
+    """Quantity of an import -> values (k, m) in SI and FLU."""
+    made: Numbers = {}
+    gyro = _columns(fields, "gyroADC", 3)
+    if gyro is not None:
+        made["rate"] = gyro * _scale(header.get("gyro_scale", 1.0)) * UNITS["rate"]["deg/s"]
+    acceleration = _columns(fields, "accSmooth", 3)
+    if acceleration is not None:
+        made["acceleration"] = acceleration / float(header.get("acc_1G", 2048)) * STANDARD_GRAVITY
+    quaternion = _columns(fields, "imuQuaternion", 3)
+    if quaternion is not None:
+        vector = quaternion / QUATERNION_SCALE
+        scalar = np.sqrt(np.maximum(1.0 - np.sum(vector**2, axis=1), 0.0))
+        made["attitude"] = continuous(np.column_stack([scalar, vector]))
+    motors = _columns(fields, "motor", None)
+    if motors is not None:
+        low, high = _output(header)
+        made["motor_command"] = (motors - low) / (high - low)
+    turns = _columns(fields, "eRPM", None)
+    if turns is not None and np.nanmax(turns, initial=0.0) > 0:
+        pairs = float(header.get("motor_poles", USUAL_POLES)) / 2
+        made["rotor_speed"] = 100.0 * turns / pairs * UNITS["rotor_speed"]["rpm"]
+    if "vbatLatest" in fields:
+        made["battery_voltage"] = fields["vbatLatest"][:, None] * UNITS["voltage"]["cV"]
+    return made
+
+
+def _columns(fields: Numbers, name: str, count: int | None) -> np.ndarray | None:
+    """Columns name[0], name[1], .., (k, count); None where there are not so many. count: None: as many as there are."""
+    there: list[Any] = []
+    while f"{name}[{len(there)}]" in fields:
+        there.append(fields[f"{name}[{len(there)}]"])
+    if not there or (count is not None and len(there) != count):
+        return None
+    return np.column_stack(there)
+
+
+def _scale(value: Any) -> float:
+    """A number, or the bits of a 32-bit float in hexadecimal digits, as Betaflight writes it."""
+    if isinstance(value, str) and value.lower().startswith("0x"):
+        return float(struct.unpack(">f", int(value, 16).to_bytes(4, "big"))[0])
+    if isinstance(value, int) and value > 10_000:  # the bits, read as a whole number
+        return float(struct.unpack(">f", value.to_bytes(4, "big"))[0])
+    return float(value)
+
+
+def _output(header: dict[str, Any]) -> tuple[float, float]:
+    """Values of `motor` at a stop and at full command."""
+    output = header.get("motorOutput")
+    if isinstance(output, list) and len(output) == 2:
+        return float(output[0]), float(output[1])
+    low, high = USUAL_OUTPUT
+    return float(header.get("minthrottle", low)), float(header.get("maxthrottle", high))

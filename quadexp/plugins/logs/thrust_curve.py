@@ -1,0 +1,245 @@
+"""Thrust curve: thrust of a rotor per vehicle mass, from the rotor signal that the log has.
+
+    motor_command s' = s (V / V_ref)^g     a_i = c_1 s'_i + c_2 s'_i^2    m/s^2    (V_ref = 0: the voltage is not used)
+    rotor_speed w                      a_i = c_2 w_i^2  (+ c_1 w_i)
+    thrust_acceleration a_log          a = c_1 a_log + b, shared equally by the rotors
+    u, static thrust in N              a_i = c_1 u_i    (c_1 is 1/mass where the thrust map is right)
+
+    f_z = sum_i a_i + b - d_z v_z + e
+
+The drag along z is fitted together with the curve: a climbing vehicle commands more thrust, so a curve fitted alone
+would absorb part of d_z. The exponent g is 1 (NanoBench) or fitted, since the motor voltage is not the battery's
+reading. By default the intercept b is fitted for the logged acceleration only: over the narrow band of commands of a
+flight it cannot be told apart from c_1 and c_2. It counts as thrust. Command with battery voltage: NanoBench (Ullah &
+Baca, arXiv 2603.09908).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from quadexp.errors import DataError
+from quadexp.log.schema import Flight
+from quadexp.models.base import Record, Rotors, Shape
+from quadexp.models.regression import Regression, half_width, regress
+from quadexp.models.samples import SIGNALS, Samples, late_signal, rotor_columns
+from quadexp.physics.state import root_mean_square
+
+# Powers of the signal in the curve, and the signals with an intercept by default.
+POWERS = {"motor_command": (1, 2), "rotor_speed": (2,), "thrust_acceleration": (1,), "u": (1,)}
+INTERCEPT = ("thrust_acceleration",)
+DRAG_Z = "d_z"
+EXPONENT_RANGE = (0.0, 3.0)
+SEARCH_SAMPLES = 40_000  # used by the search for the exponent; more are thinned evenly
+
+
+class ThrustCurve(Record, frozen=True):
+    """Thrust of a rotor per vehicle mass as a function of its signal.
+
+    signal: a name in quadexp.models.samples.SIGNALS. powers: exponents. coefficients, errors: the same for all rotors,
+    m/s^2 per signal^power. reference_voltage: V, 0 where the voltage is not used. voltage_exponent: g;
+    voltage_exponent_error: 0 where g was not fitted. intercept, intercept_error: m/s^2, sum over all rotors. drag_z,
+    drag_z_error: d_z, 1/s (0: not fitted). freedom: degrees of freedom of Student's t. condition: condition number.
+    residual_std: root mean square residual along z, m/s^2. signal_range: smallest and largest signal of the fit. loss:
+    "squares" or "huber". delay, lag: dead time and time constant of the thrust behind its signal (s). covariance: of
+    the coefficients, (p, p); None in older files.
+    """
+
+    signal: Annotated[str, msgspec.Meta(pattern=f"^({'|'.join(SIGNALS)})$")]
+    powers: Annotated[np.ndarray, Shape("powers")]
+    coefficients: Annotated[np.ndarray, Shape("powers")]
+    errors: Annotated[np.ndarray, Shape("powers")]
+    reference_voltage: float = 0.0
+    voltage_exponent: float = 1.0
+    voltage_exponent_error: float = 0.0
+    intercept: float = 0.0
+    intercept_error: float = 0.0
+    rotors: Rotors = 4
+    drag_z: float = 0.0
+    drag_z_error: float = 0.0
+    freedom: int = 1
+    condition: float = 1.0
+    residual_std: float = 0.0
+    signal_range: Annotated[np.ndarray | None, Shape("2")] = None
+    loss: str = "squares"
+    delay: float = 0.0
+    lag: float = 0.0
+    covariance: Annotated[np.ndarray | None, Shape("powers powers")] = None
+
+    def rotor_acceleration(self, flight: Flight) -> np.ndarray:
+        """Acceleration that each rotor's thrust gives, (k, n) (m/s^2), sample by sample.
+
+        Raises DataError where the flight lacks the signal or its voltage.
+        """
+        columns = rotor_columns(flight, self.signal)
+        if not columns:
+            raise DataError(f"the flight has no column {self.signal}_0, which this thrust curve needs")
+        voltage = flight["battery_voltage"] if self.reference_voltage else None
+        signal = flight.stack(columns).astype(float)
+        if self.delay or self.lag:
+            segment = np.asarray(flight.columns.get("segment", np.zeros(len(flight))))
+            held = np.zeros(len(flight), bool)
+            signal = late_signal(np.asarray(flight.t, float), segment, signal, self.delay, self.lag, held=held)
+        return self.of_signal(signal, voltage)
+
+    def of_signal(self, signal: np.ndarray, voltage: np.ndarray | None = None) -> np.ndarray:
+        """The same from the signal, (k, n), and the voltage, (k,) (V)."""
+        scaled = scaled_signal(signal, voltage, self.reference_voltage, self.voltage_exponent)
+        if self.signal == "thrust_acceleration":
+            scaled = np.repeat(scaled / self.rotors, self.rotors, axis=1)
+        elif scaled.shape[1] != self.rotors:
+            raise DataError(f"{scaled.shape[1]} rotors in the flight, the thrust curve has {self.rotors}")
+        terms = [c * scaled**power for c, power in zip(self.coefficients, self.powers, strict=True)]
+        return np.sum(terms, axis=0) + self.intercept / self.rotors
+
+    @property
+    def has_intercept(self) -> bool:
+        """Whether an intercept was fitted."""
+        return self.intercept_error > 0
+
+    @property
+    def slope_range(self) -> tuple[float, float]:
+        """Least and largest da/ds over the range of the fit; a negative one indicates a wrong curve."""
+        low, high = (0.0, 1.0) if self.signal_range is None else self.signal_range
+        grid = np.linspace(low, high, 200)
+        slope = sum(c * p * grid ** (p - 1) for c, p in zip(self.coefficients, self.powers, strict=True))
+        return float(np.min(slope)), float(np.max(slope))
+
+    def __str__(self) -> str:
+        scaled = f"{self.signal} V/{self.reference_voltage:g}" if self.reference_voltage else self.signal
+        terms = []
+        if self.reference_voltage and (self.voltage_exponent != 1 or self.voltage_exponent_error):
+            half = half_width(self.voltage_exponent_error, self.freedom)
+            scaled = f"{self.signal} (V/{self.reference_voltage:g})^g"
+            terms.append(f"g {self.voltage_exponent:.3g} +- {half:.2g}")
+        curve = zip(self.powers, self.coefficients, half_width(self.errors, self.freedom), strict=True)
+        terms.append(", ".join(f"c_{p:g} {c:.6g} +- {half:.2g}" for p, c, half in curve))
+        if self.has_intercept:
+            terms.append(f"b {self.intercept:.4g} +- {half_width(self.intercept_error, self.freedom):.2g}")
+        late = f"; commands {1e3 * self.delay:.3g} ms late" if self.delay else ""
+        late += f"; motor lag {1e3 * self.lag:.3g} ms" if self.lag else ""
+        return f"on {scaled}: {'; '.join(terms)}{late}"
+
+
+def scaled_signal(
+    signal: np.ndarray, voltage: np.ndarray | None, reference_voltage: float, exponent: float = 1.0
+) -> np.ndarray:
+    """s (V / V_ref)^g, (k, n); without a reference voltage the signal itself."""
+    if not reference_voltage:
+        return signal
+    if voltage is None:
+        raise DataError("the thrust curve uses the battery voltage, the flight has no column 'battery_voltage'")
+    return signal * ((voltage / reference_voltage) ** exponent)[:, None]
+
+
+def thrust_design(scaled: np.ndarray, powers: Sequence[float], *, intercept: bool) -> np.ndarray:
+    """Regressors of the curve, (k, p): sum_i s_i^p of every power; then 1 if there is an intercept."""
+    ones = [np.ones(len(scaled))] if intercept else []
+    return np.column_stack([np.sum(scaled**p, axis=1) for p in powers] + ones)
+
+
+@dataclass(frozen=True)
+class CurveSettings:
+    """How a thrust curve is fitted.
+
+    reference_voltage: V; 0: the voltage is not used; None: 4 V per cell for motor commands, by the median voltage.
+    voltage_exponent: g, None to fit it. powers: None for those of POWERS.
+    """
+
+    reference_voltage: float | None = None
+    voltage_exponent: float | None = 1.0
+    powers: tuple[int, ...] | None = None
+
+    def voltage_for(self, samples: Samples) -> float:
+        """The reference voltage, V. Raises DataError where it needs a voltage that the samples lack."""
+        if self.reference_voltage is None:
+            if samples.kind != "motor_command" or samples.voltage is None:
+                return 0.0
+            return 4.0 * max(1, round(float(np.median(samples.voltage)) / 3.8))
+        if self.reference_voltage and samples.voltage is None:
+            raise DataError(f"{samples.names[0]}: column 'battery_voltage' is missing, which a reference voltage needs")
+        return float(self.reference_voltage)
+
+
+def fit_thrust_samples(
+    samples: Samples, settings: CurveSettings | None = None, *, drag: bool = True, intervals: bool = True
+) -> tuple[ThrustCurve, Regression]:
+    """Fit the curve to the specific force along body z; returns it with its regression.
+
+    samples: from `gather`. drag: fit d_z too. intervals: False computes errors for independent samples only, and none
+    for g. The regression's columns are those of `thrust_design`, then d_z.
+    Raises DataError where a voltage is missing or the data do not determine the curve.
+    """
+    settings = settings or CurveSettings()
+    kind = samples.kind
+    powers, intercept = tuple(settings.powers or POWERS[kind]), kind in INTERCEPT
+    reference = settings.voltage_for(samples)
+    names = [*(f"c_{p}" for p in powers), *["b_z"] * intercept, *[DRAG_Z] * drag]
+
+    def design(part: Samples, g: float) -> np.ndarray:
+        columns = thrust_design(scaled_signal(part.signal, part.voltage, reference, g), powers, intercept=intercept)
+        return np.column_stack([columns, -part.velocity[:, 2]]) if drag else columns
+
+    def fit(design: np.ndarray, names: list[str]) -> Regression:
+        return regress(
+            design, samples.force[:, 2], names, samples.segment, samples.flight,
+            what=f"thrust curve on {kind}", intervals=intervals,
+        )  # fmt: skip
+
+    rotors = samples.signal.shape[1] if kind != "thrust_acceleration" else 4  # which share it
+    q, g, g_error = len(powers), settings.voltage_exponent, 0.0
+    fit_exponent = g is None and bool(reference)
+    if g is None:
+        g = _search_exponent(samples.thinned(SEARCH_SAMPLES), design) if fit_exponent else 1.0
+    regression = fit(design(samples, g), names)
+    if samples.later is not None and intervals:  # one standard error of the delay
+        behind = fit(design(replace(samples, signal=samples.later), g), names).coefficients - regression.coefficients
+        regression = replace(regression, covariance=regression.covariance + np.outer(behind, behind))
+    scaled = scaled_signal(samples.signal, samples.voltage, reference, g)
+    if fit_exponent and intervals:  # the regression linearised in g, with da/dg as a further column
+        slope = sum(c * p * scaled**p for c, p in zip(regression.coefficients, powers, strict=False)).sum(axis=1)
+        relative_voltage = scaled_signal(np.ones((len(samples), 1)), samples.voltage, reference)[:, 0]
+        at = q + intercept
+        columns = np.insert(design(samples, g), at, slope * np.log(relative_voltage), axis=1)
+        joint = fit(columns, [*names[:at], "g", *names[at:]])
+        others = np.arange(len(joint.names)) != at
+        regression = replace(
+            regression, covariance=joint.covariance[np.ix_(others, others)], freedom=joint.freedom + 1,  # without g
+            condition=joint.condition,
+        )  # fmt: skip
+        g_error = float(joint.errors[at])
+    value, error = regression.coefficients, regression.errors
+    curve = ThrustCurve(
+        kind, np.array(powers, float), value[:q], error[:q], reference, float(g), g_error,
+        float(value[q]) if intercept else 0.0, float(error[q]) if intercept else 0.0, rotors,
+        float(value[-1]) if drag else 0.0, float(error[-1]) if drag else 0.0, int(regression.freedom),
+        regression.condition, root_mean_square(regression.residual), np.array([scaled.min(), scaled.max()]),
+        delay=samples.delay, lag=samples.lag, covariance=regression.covariance[:q, :q],
+    )  # fmt: skip
+    return curve, regression
+
+
+def _search_exponent(samples: Samples, design: Callable[[Samples, float], np.ndarray]) -> float:
+    """The g with the least sum of squared residuals."""
+    from scipy.optimize import minimize_scalar
+
+    target = samples.force[:, 2]
+
+    def squares(g: float) -> float:
+        columns = design(samples, g)
+        residual = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
+        return float(residual @ residual)
+
+    return float(minimize_scalar(squares, bounds=EXPONENT_RANGE, method="bounded", options={"xatol": 1e-7}).x)
+
+
+def thrust_columns(curve: ThrustCurve, samples: Samples) -> np.ndarray:
+    """The regressors of a curve, with that of d_z as the last column, (k, p)."""
+    scaled = scaled_signal(samples.signal, samples.voltage, curve.reference_voltage, curve.voltage_exponent)
+    design = thrust_design(scaled, curve.powers.astype(int).tolist(), intercept=curve.has_intercept)
+    return np.column_stack([design, -samples.velocity[:, 2]])

@@ -1,0 +1,26 @@
+"""Figures, HTML pages and moving pictures of flights and results."""
+
+BRINGS = {
+    "commands": {
+        "table": "quadexp.plugins.page.table_command:table",
+        "plot": "quadexp.plugins.page.commands:plot",
+        "report": "quadexp.plugins.page.commands:report",
+        "animate": "quadexp.plugins.page.commands:animate",
+    },
+    "services": {
+        "view": "quadexp.plugins.page.view:view",
+        "figure_of": "quadexp.plugins.page.draw:figure_of",
+        "comparison_figure": "quadexp.plugins.page.draw:comparison_figure",
+        "flights_figure": "quadexp.plugins.page.flight_figures:flights_figure",
+        "over_time": "quadexp.plugins.page.flight_figures:over_time",
+        "sortable_page": "quadexp.plugins.page.document:page_of",
+        "sweep_figures": "quadexp.plugins.page.sweep_figures:SweepFigures",
+        "watch": "quadexp.plugins.page.watch:Watch",
+    },
+    "sections": {
+        "numbers": "quadexp.plugins.page.report.sections:numbers_section",
+        "swept": "quadexp.plugins.page.report.sections:swept_section",
+        "worst": "quadexp.plugins.page.report.sections:worst_section",
+        "origin": "quadexp.plugins.page.report.sections:origin_section",
+    },
+}

@@ -1,0 +1,140 @@
+"""Commands that draw: `quadexp plot`, `report`, `animate`. Only light modules are imported at the top."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+from quadexp.cli.command import Answer, Ask, Force, Out, command, file_rows, single_values
+from quadexp.errors import UsageError
+
+HEADING = "Look"
+WIDTHS = {"column": 3.5, "page": 7.16}  # inches, of the IEEE
+
+
+@command
+def plot(
+    results: Annotated[Path, Ask("A folder of `quadexp evaluate`.", "DIR")],
+    x: Annotated[str | None, Ask("The key along x.", "KEY")] = None,
+    y: Annotated[str, Ask("A number of the flights, such as rmse; or success.", "COLUMN")] = "mean_error",
+    by: Annotated[tuple[str, ...], Ask("A line for each value; repeatable.", "KEY")] = (),
+    facet: Annotated[tuple[str, ...], Ask("A panel for each value; repeatable.", "KEY")] = (),
+    where: Annotated[str | None, Ask("Only these flights, such as 'speed > 6'.", "CONDITION")] = None,
+    kind: Annotated[Literal["lines", "heat"] | None, Ask("lines, or heat (a map of --x and --by).", "KIND")] = None,
+    width: Annotated[Literal["column", "page"] | None, Ask("For a paper: 3.5 or 7.16 inches wide.")] = None,
+    label: Annotated[
+        tuple[str, ...], Ask("A text of your own for a key, a value or --y; repeatable.", "KEY=TEXT")
+    ] = (),
+    color: Annotated[tuple[str, ...], Ask("A colour of your own for a value; repeatable.", "NAME=COLOR")] = (),
+    height: Annotated[float | None, Ask("Height of the figure (inches).", "IN")] = None,
+    title: Annotated[str, Ask("The title of the figure.", "TEXT")] = "",
+    out: Out = Path("plot.png"),
+    force: Force = False,
+) -> Answer:
+    """Draw results with any keys of the configuration as axes; without keys, what was swept chooses them.
+
+    The value of a key is that of the configuration stored with each flight, also of one that was not swept. Means are
+    over the common flights, and bars their intervals, as in tables; k/n: only k of n flights were completed.
+    The suffix of --out chooses the format: png, pdf, svg, or html, a page that opens offline with the numbers.
+
+    \b
+    quadexp plot results/x --x controller.horizon --y mean_error --by controller.nodes --out a.png
+    quadexp plot results/x --x controller.horizon --by controller.nodes --kind heat --out map.pdf
+    quadexp plot results/x --width column --height 2.2 --label gp_mpc="GP (ours)" --color gp_mpc=navy --out figure.pdf
+    quadexp plot results/x --x vehicle.mass --facet trajectory --where "seed in [0, 1]" --out b.html
+    """
+    from dataclasses import replace
+
+    from quadexp.plugins.page.draw import SUFFIXES, records, save_view
+    from quadexp.plugins.page.view import view
+    from quadexp.report.checked import check_flights
+    from quadexp.report.frame import SweepFrame, chosen
+    from quadexp.report.style import check_path
+
+    names = dict(text.partition("=")[::2] for text in label)
+    if not all(names.values()):
+        raise UsageError(f"--label {next(name for name in names if not names[name])}: give KEY=TEXT")
+    path = check_path(out, force, SUFFIXES)
+    frame = whole = SweepFrame.read(results)
+    if where:
+        frame = whole.where(chosen(whole, where))
+        if not frame.rows:
+            raise UsageError(f"--where {where!r}: no flight fulfils it")
+    figure = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), kind=kind).named(names)
+    if height is not None and not 1 <= height <= 20:
+        raise UsageError(f"--height {height:g}: must be in [1, 20] inches")
+    figure = replace(
+        figure.coloured(_colours(color)), heading=title, width=WIDTHS[width] if width else None, height=height
+    )
+    save_view(figure, path, title=f"{results.name}: {figure.y_label}", force=force)
+    numbers = records(figure)
+    about = {"kind": figure.kind, "x": figure.x.key, "by": figure.by, "facet": figure.facet, "y": figure.y}
+    checked = check_flights(frame.root, frame.rows, whole.rows)
+    notes = [figure.caption, *figure.notes, f"{checked.text()}.", *checked.lines()]
+    record = {"path": path, **about, "notes": notes, "points": numbers}
+    said = [*((figure.caption,) if width else ()), *figure.notes]
+    return Answer(record, numbers, [path], said, remarks=[f"warning: {line}" for line in checked.lines()])
+
+
+def _colours(given: Sequence[str]) -> dict[str, str]:
+    """NAME=COLOR texts as name -> "#rrggbb"."""
+    from matplotlib.colors import is_color_like, to_hex
+
+    colours = {}
+    for text in given:
+        name, _, colour = text.rpartition("=")
+        if not name or not is_color_like(colour):
+            raise UsageError(f"--color {text}: give NAME=COLOR, a colour by name or as #rrggbb")
+        colours[name] = to_hex(colour)
+    return colours
+
+
+def _keys(given: Sequence[str]) -> list[str] | None:
+    """Keys of an option that is repeatable, also with commas between; None where there are none."""
+    return [key.strip() for text in given for key in text.split(",") if key.strip()] or None
+
+
+@command
+def report(
+    results: Annotated[Path, Ask("Results folder of `quadexp evaluate --sweep`.")],
+    out: Out = Path("report.html"),
+    figures: Annotated[Path | None, Ask("Write each panel as a PDF too, for a paper's column.", "DIR")] = None,
+    baseline: Annotated[str | None, Ask("Controller to compare the others with.", "CONTROLLER")] = None,
+    force: Force = False,
+) -> Answer:
+    """Write a comparison as one page that opens without a network: answer, tables, figures, provenance.
+
+    \b
+    quadexp report results/table1 --out report.html
+    quadexp report results/table1 --out report.html --figures paper/figures
+    """
+    from quadexp.plugins.page.report import make_report
+
+    page = make_report(results, out, figures=figures, baseline=baseline, force=force)
+    checked = page["checked"]
+    said = [*page["answer"], page["note"], f"{checked['text']}.", *checked["lines"]]
+    files = file_rows({"page": page["path"], **page["figures"]})
+    return Answer(page, files, [*said, *page["figures"].values(), page["path"]])
+
+
+@command
+def animate(
+    flights: Annotated[tuple[Path, ...], Ask("Flights over one reference, such as those of one sweep.", "FILE")],
+    out: Out = Path("replay.gif"),
+    rate: Annotated[float, Ask("Frames a second, 1 to 50.", "HZ")] = 20.0,
+    begin: Annotated[float, Ask("Time of the first frame.", "S", "--from")] = 0.0,
+    end: Annotated[float | None, Ask("Time of the last frame.", "S", "--to")] = None,
+    force: Force = False,
+) -> Answer:
+    """Draw flights over one reference as a moving picture in real time: GIF, or MP4 by ffmpeg.
+
+    \b
+    quadexp animate runs/nominal.parquet runs/gp.parquet --out replay.gif
+    """
+    from quadexp.plugins.page.animation import animate as draw
+
+    movie = draw(flights, out, rate=rate, begin=begin, end=end, force=force)
+    return Answer(
+        movie, [single_values(movie)], [f"{movie['frames']} frames, {movie['duration']:.1f} s", movie["path"]]
+    )

@@ -1,0 +1,164 @@
+"""The feedback controller of Lei & Li 2017 as a law in closed form (quadexp.control.law)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+
+from quadexp.compile.memory import NEXT, NOW
+from quadexp.compile.symbolic import ca
+from quadexp.control.inputs import Inputs
+from quadexp.control.law import Law
+from quadexp.control.laws.explicit import ExplicitController
+from quadexp.errors import UsageError
+from quadexp.names import named
+from quadexp.parts.part import Given
+from quadexp.parts.settings import REQUIRED, Backend, key, keyed
+from quadexp.physics.expression import split
+from quadexp.physics.rotation import air_velocity
+from quadexp.physics.rotor import THETA
+from quadexp.physics.state import ATTITUDE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.papers.lei_li.feedback.frames import FRD_FLU
+from quadexp.plugins.papers.lei_li.feedback.law import (
+    VARIANTS,
+    FeedbackSettings,
+    Variant,
+    hover_rotor_speed,
+    law_function,
+)
+from quadexp.plugins.papers.lei_li.rls import Identification
+
+INNER_TOLERANCE = 1e-10  # rad/s and rad, of the fixed point without delay
+RLS = "rls_"  # before the names of what identification knows
+
+
+@keyed
+class Feedback(FeedbackSettings, Law):
+    """Compensated feedback. variant: what is compensated, and from where.
+
+    Columns: desired tilt and its error (rad, FRD), active safety limits, coefficients identified in flight."""
+
+    former_kind = "feedback"
+    symbols = ca.MX
+    nodes = (0.0,)
+
+    variant: Literal["rls", "static", "literal", "nocomp_statid", "oracle", "oracle_impl", "rls_noH", "static_H"] = key(
+        REQUIRED, "what is compensated, and the source of the coefficients; see docs/lei_li.md"
+    )
+    backend: Backend = "auto"
+    rls: Identification = key(REQUIRED, "recursive least squares in flight")
+
+    @property
+    def compensates(self) -> Variant:
+        """What, and with which coefficients."""
+        return VARIANTS[self.variant]
+
+    @property
+    def identifies(self) -> bool:
+        """Whether it identifies coefficients in flight."""
+        return self.compensates.parameters == "identified"
+
+    @property
+    def knows_plant(self) -> bool:
+        """See ControllerPart."""
+        return self.compensates.parameters == "true"
+
+    @property
+    def logged(self) -> tuple[str, ...]:  # type: ignore[override]  # the same for all there, of a variant here
+        """See Law."""
+        identified = (*THETA, "clips", "reopened") if self.identifies else ()
+        return ("phi_d", "theta_d", "error_eta", "cone", "floored", "limited", *identified)
+
+    def remembers(self, given: Inputs) -> Mapping[str, int]:
+        """See Law: values of the previous sample; what identification knows."""
+        sizes = {"rotor_speed": given.vehicle.n_rotors, "eta_d": 3, "observer": 6, "velocity": 3}
+        known = self.rls.remembered if self.identifies else {}
+        return sizes | {RLS + name: values.size for name, values in known.items()}
+
+    def start(self, vehicle: Vehicle, x: np.ndarray) -> dict[str, np.ndarray]:
+        """See Law: hover rotor speeds and R_d = I."""
+        velocity = FRD_FLU @ air_velocity(x[ATTITUDE], x[VELOCITY])
+        known = self.rls.remembered if self.identifies else {}
+        hover = np.full(vehicle.n_rotors, hover_rotor_speed(vehicle))
+        return {"rotor_speed": hover, "velocity": velocity} | {RLS + name: values for name, values in known.items()}
+
+    def equations(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+        """See Law; (27) to (40). Rotor speeds that are not measured are those that were commanded."""
+        read, turning = ca.vertsplit(given.fresh)
+        speed = ca.if_else(ca.logic_and(read, turning), given.rotor_speed, memory.rotor_speed)
+        found: dict[str, Any] = {}
+        theta = ca.DM.zeros(len(THETA))
+        if self.identifies:
+            velocity = air_velocity(given.state[ATTITUDE], given.state[VELOCITY])
+            told = {"v": velocity, "w": speed, "y": given.specific_force, "read": read}
+            found = identified(self.rls, vehicle, memory, told)
+            theta = found[f"{RLS}used"]
+            found |= named(THETA, ca.vertsplit(theta))
+            found |= {"clips": ca.sum1(found[f"{RLS}clips"]), "reopened": found[f"{RLS}reopened"]}
+        elif self.knows_plant:
+            theta = given.symbol("coefficients", (len(THETA), 1))
+        law = law_function(vehicle, self, self.compensates)
+        yaw = given.heading + ca.vertcat(0, given.drift, 0)
+        arguments = {"x": given.state, "reference": given.path[:, :3], "yaw": yaw, "theta": theta}
+        arguments["observer_last"] = ca.reshape(memory.observer, 3, 2)
+        last = {"rotor_speed": speed, "eta_d": memory.eta_d, "velocity": memory.velocity}
+        if self.compensates.delayed:
+            result = law.call(arguments | {f"{name}_last": value for name, value in last.items()})
+        else:
+            result = _fixed_point(law, arguments, last, self.inner_iterations)
+        found |= {name: result[name] for name in last} | {"observer": ca.vec(result["observer"])}
+        found |= named(("phi_d", "theta_d"), ca.vertsplit(result["eta_d"][:2]))
+        found |= {"error_eta": ca.norm_2(result["error"]), "cone": result["outside"]}
+        found |= {name: result[name] for name in ("floored", "limited")}
+        return found | {"command": result["thrust"], "held": result["floored"] + result["limited"]}
+
+    def controller(self, vehicle: Vehicle, *more: Any, **places: Any) -> ExplicitController:
+        """See Law; UsageError for a vehicle without what the equations need."""
+        if vehicle.rotor is None or vehicle.thrust_coefficient is None:
+            raise UsageError(
+                f"vehicle={vehicle.name}: feedback control needs vehicle.rotor and vehicle.thrust_coefficient;"
+                " vehicle=lei_li has them"
+            )
+        return super().controller(vehicle, *more, **places)
+
+    def build(self, given: Given) -> Any:
+        """See ControllerPart; UsageError where it is to know coefficients that the plant does not have."""
+        places: dict[str, np.ndarray] = {}
+        source = "RLS in flight" if self.identifies else "the vehicle's thrust map"
+        if self.knows_plant:
+            if not hasattr(given.plant, "coefficients"):
+                raise UsageError(
+                    f"{self.name}: knows the plant's blade-element coefficients; plant=blade_element has them"
+                )
+            places, source = {"coefficients": given.plant.coefficients.parameters()}, "plant equations"
+        controller = self.controller(given.vehicle, places=places)
+        controller.name = "thrust_map" if self.compensates.parameters == "none" else "blade_element"
+        controller.source = source
+        return controller
+
+
+def identified(rls: Identification, vehicle: Vehicle, memory: Any, told: dict[str, Any]) -> dict[str, Any]:
+    """Next values of what identification knows, by name, from a sample. told: v, w, y, read of its update_function."""
+    kept = {NOW + name: getattr(memory, RLS + name) for name in rls.remembered}
+    found = rls.update(vehicle).call(kept | told)
+    return {RLS + name: found[NEXT + name] for name in rls.remembered}
+
+
+def _fixed_point(law: ca.Function, arguments: dict[str, Any], last: dict[str, Any], iterations: int) -> dict[str, Any]:
+    """The results of the law with compensation terms of this sample instead of those of `last`, the previous one."""
+    fixed = [ca.MX.sym(name, value.shape) for name, value in arguments.items()]
+    before = ca.MX.sym("before", sum(value.numel() for value in last.values()) + 1)
+    values = dict(zip(last, split(before[:-1], [value.numel() for value in last.values()]), strict=True))
+    found = law.call(named(arguments, fixed) | {f"{name}_last": value for name, value in values.items()})
+    change = sum(ca.norm_inf(found[name] - values[name]) for name in ("rotor_speed", "eta_d"))
+    moves = change > INNER_TOLERANCE
+    after = ca.if_else(moves, ca.vertcat(*(found[name] for name in last)), before[:-1])
+    once = ca.Function("once", [before, *fixed], [ca.if_else(before[-1], ca.vertcat(after, moves), before, True)])
+    at = ca.vertcat(*last.values(), 1)
+    for _ in range(iterations):
+        at = once(at, *arguments.values())
+    settled = split(at[:-1], [value.numel() for value in last.values()])
+    return law.call(arguments | {f"{name}_last": value for name, value in zip(last, settled, strict=True)})

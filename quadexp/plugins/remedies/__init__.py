@@ -1,0 +1,3 @@
+"""What is put around a controller: observers, L1, INDI, predictions of delays; and what learns in flight."""
+
+BRINGS = {"parts": {"remedies": "quadexp.plugins.remedies"}}

@@ -1,0 +1,167 @@
+"""A late state brought to now by the controller's model and the commands that were sent.
+
+    x^(t) = phi(tau; x(t - tau), thrusts over [t - tau, t])
+
+phi: Runge-Kutta steps of at most STEP, the last parts of the time; the thrust of each is its mean over that part, after
+the dead time and lag of the commands (delivered.py). Where an observer is inside, phi is in the world that it believed
+in at the last instant: v' = F_air(v - w, s T) + F / m .., see control.belief. The prediction starts from the newest
+measurement at every instant (not Smith's form, whose model drifts). It needs no gyroscope and no accelerometer, but a
+model: an error a of its acceleration leaves a tau^2 / 2 in the position.
+
+An MPC predicts the dead time of its commands itself. Any other controller is told the state, and the reference, of the
+time at which its command begins to act: phi goes on over the dead time, under the commands that have been sent.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from quadexp.compile.symbolic import ca
+from quadexp.control.base import N_BELIEF, Controller, Window
+from quadexp.control.delivered import INSTANT, SETTLED, weights_function
+from quadexp.control.inputs import Circumstances, Inputs
+from quadexp.control.instant import Operation, Told, python
+from quadexp.control.layer import NO_BELIEF, Layer
+from quadexp.control.wrapped import innermost, layers
+from quadexp.models.residual import Residual, no_residual
+from quadexp.parts.settings import key, keyed
+from quadexp.physics.expression import named_function, named_symbols, unit
+from quadexp.physics.integrator import rk4_step_with_input
+from quadexp.physics.rigid_body import corrected_function
+from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.remedies.delay.strapdown import KnownDelay
+
+STEP = 0.02  # s, of the integration
+
+
+def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) -> ca.Function:
+    """The model's state after the thrusts of the last commands, in a believed world.
+
+    Inputs: x (13,); commands (n, m) (N), the oldest first; weights (m, parts) on them of the thrusts in each part of
+    the time, the first to act first; dt (parts,), for how long each acts (s); theta of the residual; wind (3,), world
+    (m/s); push (6,): acceleration, world (m/s^2), and angular acceleration, body (rad/s^2), beyond the model; scale of
+    the thrusts.
+    """
+    n = vehicle.n_rotors
+    model = corrected_function(vehicle, residual)
+    shapes = {"x": N_STATE, "commands": (n, commands), "weights": (commands, parts), "dt": parts}
+    shapes |= {"theta": residual.function.size1_in(1), "wind": 3, "push": 6, "scale": 1}
+    arguments = named_symbols(ca.MX, shapes)
+    x, dt, theta, wind = (arguments[name] for name in ("x", "dt", "theta", "wind"))
+    pushed = ca.vertcat(wind, ca.MX(4, 1), arguments["push"])
+    thrusts = arguments["scale"] * (arguments["commands"] @ arguments["weights"])
+
+    def slope(s: ca.MX, held: ca.MX) -> ca.MX:
+        return model(s, held, theta) + pushed
+
+    state = ca.vertcat(x[: VELOCITY.start], x[VELOCITY] - wind, x[VELOCITY.stop :])  # in the frame of the air
+    for u, h in zip(ca.horzsplit(thrusts), ca.vertsplit(dt), strict=True):
+        state = rk4_step_with_input(slope, state, [u] * 3, h)
+    now = state[: ATTITUDE.start], unit(state[ATTITUDE]), state[VELOCITY] + wind, state[VELOCITY.stop :]
+    return named_function("delay_prediction", arguments, {"now": ca.vertcat(*now)})
+
+
+@keyed
+class Prediction(KnownDelay):
+    """A late state is brought to now by the controller's model: that of the MPC inside; without one, the rigid body
+    alone."""
+
+    dead_time: float | None = key(
+        None, "dead time of commands; null: what the controller knows itself", "[0, 0.5]", "s"
+    )
+    motor_lag: float | None = key(
+        None, "time constant of the rotors; null: what the controller knows itself", "[0, 0.5]", "s"
+    )
+
+    def remembers(self, given: Inputs) -> dict[str, int]:
+        """See LayerPart: the last commands, the oldest first, and the newest; what an observer inside told last, (11,);
+        instants since the start."""
+        n = given.vehicle.n_rotors
+        if not self._parts(given.about):
+            return {}
+        return {"commands": n * self._count(given.about), "sent": n, "believed": N_BELIEF, "since": 1}
+
+    def start(self, given: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
+        """See LayerPart."""
+        return {"commands": np.tile(thrust, self._count(given.about)), "believed": NO_BELIEF}
+
+    def before(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+        """The prediction. Until `time` has passed since the start, the measured state is that of the start."""
+        about, residual = given.about, given.residual or no_residual(vehicle)
+        if not (parts := self._parts(about)):
+            return {}
+        elapsed = memory.since * about.period
+        late = ca.fmin(self.time, elapsed)
+        begun = self._times(about, parts, self.time)
+        times = ca.if_else(elapsed < self.time, self._times(about, parts, late), begun, True)
+        dt, weights = times[:parts], ca.reshape(times[parts:], -1, parts)
+        commands = ca.vertcat(memory.commands[vehicle.n_rotors :], memory.sent)
+        force, torque, wind, scale, _ = ca.vertsplit(memory.believed, [0, 3, 6, 9, 10, 11])
+        push = ca.vertcat(force / vehicle.mass, ca.inv(ca.DM(vehicle.inertia_matrix)) @ torque)
+        predict = prediction(vehicle, residual, parts, self._count(about))
+        history = ca.reshape(commands, vehicle.n_rotors, -1)
+        now = predict(given.state, history, weights, dt, given.theta, wind, push, scale)
+        now = ca.if_else(late + about.ahead > 0, now, given.state)
+        return {"commands": commands, "since": memory.since + 1, "state": now}
+
+    def _times(self, about: Circumstances, parts: int, late: Any) -> Any:
+        """How long each part of the time acts (parts,), and the weights of commands in it (m parts,)."""
+        before = ca.DM(np.arange(parts - 1, -1, -1) * STEP)  # from the end of the prediction
+        ends, starts = (ca.fmin(one, late + about.ahead) - about.ahead for one in (before, before + STEP))
+        begins = ca.if_else(starts - ends > INSTANT, -starts, -ends - INSTANT)
+        spans = ca.horzcat(begins, -ends).T
+        weights = weights_function(self._count(about), about.period, parts)(spans, [about.dead_time, about.lag])
+        return ca.vertcat(starts - ends, ca.vec(weights[::-1, :]))
+
+    def _parts(self, about: Circumstances) -> int:
+        """In how many parts of at most STEP the time is predicted."""
+        return math.ceil((self.time + about.ahead) / STEP - 1e-9)
+
+    def _count(self, about: Circumstances) -> int:
+        """How many commands may act yet."""
+        reach = self.time + about.dead_time + SETTLED * about.lag + about.period
+        return math.ceil(reach / about.period - 1e-9) + 1
+
+    def around(self, controller: Any) -> Predicting:
+        """See Remedy: the controller behind a prediction of its measurements by its own model."""
+        settings = getattr(innermost(controller), "settings", None)
+        told = [getattr(settings, name, 0.0) for name in ("dead_time", "known_lag")]
+        given = (self.dead_time, self.motor_lag)
+        dead_time, lag = (own if one is None else one for one, own in zip(given, told, strict=True))
+        return Predicting(controller, self, dead_time, lag)
+
+
+class Predicting(Layer):
+    """A controller that is told the state of now, predicted by a model. dead_time, lag: of commands (s)."""
+
+    def __init__(self, inner: Controller, part: Prediction, dead_time: float, lag: float) -> None:
+        model = getattr(innermost(inner), "mpc", None)
+        ahead = dead_time if model is None else 0.0  # an MPC predicts the dead time itself
+        residual = no_residual(inner.vehicle) if model is None else model.residual
+        theta = residual.theta if model is None else model.parameters
+        observer: Any = next((one for one in layers(inner) if hasattr(one, "numbers")), None)
+        about = Circumstances(inner.control_period, dead_time, lag, ahead=ahead)
+        believed = NO_BELIEF if observer is None else observer.numbers
+        super().__init__(inner, part, about, residual, {"theta": theta}, kept={"believed": believed})
+        self.node_times = inner.node_times + ahead
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset."""
+        super().reset(x, self._later(window))
+
+    def inside(self, told: Told) -> list[Operation]:
+        """See Layer: the reference of the time at which a command of now begins to act."""
+        return [python(lambda: told.look(self._later(told.window)))] if self.about.ahead else []
+
+    def _later(self, window: Window) -> Window:
+        """The reference then; states and inputs are asked for then."""
+        powers = [self.about.ahead**i / math.factorial(i) for i in range(len(window.position))]
+        position, yaw = (
+            np.stack([sum(p * row for p, row in zip(powers, one[i:], strict=False)) for i in range(len(one))])
+            for one in (window.position, window.yaw)
+        )
+        return window._replace(position=position, yaw=yaw)

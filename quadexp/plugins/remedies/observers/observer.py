@@ -1,0 +1,181 @@
+"""What every observer does in a control step: delivered thrusts, one compiled update, the belief for the controller.
+
+The update is a function of the observer's state s and of what is known at a control instant,
+
+    (s, x, reading, read, thrust, mean, theta, settings) -> s_next, belief      belief = [F, tau, w, s_T, s_air], (11,)
+
+with the accelerometer's reading (3,), whether it was read now, the delivered thrusts now and over the last control
+period, (n,) each, and the parameters of the controller's model of the air. Where nothing was read it predicts, and what
+it finds by other sensors goes on. It runs from the second instant on: before the first nothing was flown.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from quadexp.compile.backend import resolve
+from quadexp.compile.symbolic import ca
+from quadexp.control.base import Controller, Window
+from quadexp.control.inputs import Circumstances, Inputs
+from quadexp.control.instant import Instant, Told, instant_of
+from quadexp.control.layer import NO_BELIEF, Layer, LayerPart
+from quadexp.control.mpc.believed_world import Estimator
+from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.wrapped import WrappedController, air_of, innermost, parameters_of
+from quadexp.errors import UsageError
+from quadexp.models.residual import Residual, no_residual
+from quadexp.names import named
+from quadexp.parts.settings import key, keyed
+from quadexp.physics.expression import named_symbols
+from quadexp.physics.state import N_STATE
+from quadexp.physics.vehicle import Vehicle
+
+COLUMNS = (
+    *(f"observer_force_{axis}" for axis in "xyz"),
+    *(f"observer_torque_{axis}" for axis in "xyz"),
+    *(f"observer_wind_{axis}" for axis in "xyz"),
+    "observer_thrust_scale",
+    "observer_air_scale",
+)
+
+
+@keyed
+class ObserverPart(LayerPart):
+    """What every observer has. Columns observer_.. of a flight: SI, forces and wind in the world, torques in body
+    axes."""
+
+    prefix = "observer."
+    believes = True
+    logged = {"belief": COLUMNS}
+
+    torque_bandwidth: float = key(
+        15.0, "of the estimated torque; 0: no torque", "[0, 1000]", "rad/s", tuned="1..100:log"
+    )
+    torque_limit: float = key(
+        100.0, "largest estimated torque on an axis, over its inertia", "(0, 1e6]", "rad/s^2", when="torque_bandwidth"
+    )
+    targets: bool = key(
+        True, "recompute attitudes and thrusts of the reference so that they hold the path under what is estimated"
+    )
+    dead_time: float | None = key(
+        None, "of thrust, where rotor speeds are not measured; null: the controller's", "[0, 0.5]", "s"
+    )
+    motor_lag: float | None = key(
+        None, "time constant of the rotors, likewise; null: the controller's", "[0, 0.5]", "s"
+    )
+
+    def update(self, vehicle: Vehicle, air: Residual, about: Circumstances) -> ca.Function:
+        """See the module. air: the controller's model, which may be none."""
+        raise NotImplementedError
+
+    def settings(self, period: float) -> np.ndarray:
+        """The last argument of `update`."""
+        raise NotImplementedError
+
+    def begin(self, x: np.ndarray) -> np.ndarray:
+        """Of the estimate, as the flight begins in a state, (13,)."""
+        raise NotImplementedError
+
+    def remembers(self, given: Inputs) -> dict[str, int]:
+        """See LayerPart: the estimate, and whether anything has been read."""
+        return {"estimate": self.begin(np.zeros(N_STATE)).size, "flown": 1}
+
+    def start(self, given: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
+        """See LayerPart."""
+        return {"estimate": self.begin(x)}
+
+    def before(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+        """The update, from the first reading on."""
+        air = given.residual or no_residual(vehicle)
+        read, flown = given.fresh[0], ca.fmax(memory.flown, given.fresh[0])
+        told = given.state, given.specific_force, read, given.delivered, given.mean, given.theta
+        update = self.update(vehicle, air, given.about)
+        estimate, belief = update(memory.estimate, *told, ca.DM(self.settings(given.period)))
+        estimate, belief = (
+            ca.if_else(flown, new, old) for new, old in ((estimate, memory.estimate), (belief, ca.DM(NO_BELIEF)))
+        )
+        return {"estimate": estimate, "flown": 1, "belief": belief}
+
+    def put(self, controller: Any) -> Observer | ObservingMPC:
+        """The controller that is told of it, where it can be."""
+        core = innermost(controller)
+        about = Circumstances(
+            controller.control_period,
+            known_delay(self.dead_time, controller, "dead_time"),
+            known_delay(self.motor_lag, controller, "known_lag"),
+            compiled=resolve(controller.backend) == "compiled",
+        )
+        if isinstance(controller, PredictiveController):
+            return ObservingMPC(controller, self, about)
+        return Observer(controller, self, about, air_of(core), {"theta": parameters_of(core)})
+
+
+class Observer(Layer):
+    """A controller that is told before each of its steps what an observer estimates."""
+
+    @property
+    def finds_torque(self) -> bool:
+        """Whether the controller is told of a torque."""
+        part: Any = self.part
+        return part.torque_bandwidth > 0
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """What is believed since the last step, (11,), in the order of Belief."""
+        return self.results["belief"]
+
+
+class ObservingMPC(WrappedController):
+    """An MPC with an observer: the update is a part of its step (control.mpc.believed_world)."""
+
+    def __init__(self, inner: PredictiveController, part: ObserverPart, about: Circumstances) -> None:
+        super().__init__(inner)
+        self.part, self.finds_torque = part, part.torque_bandwidth > 0
+        inner.targets = part.targets
+        function = part.update(inner.vehicle, air_of(inner), about)
+        self._world = inner.observed_by(Estimator(function, part.settings(about.period), about.delays))
+        self.numbers = self._world.numbers
+
+    def reset(self, x: np.ndarray, window: Window) -> None:
+        """See Controller.reset: nothing is believed of the world yet."""
+        super().reset(x, window)
+        self._world.reset(self.part.begin(x))
+
+    def instant(self, told: Told, state: np.ndarray) -> Instant:
+        """See control.instant."""
+        inner = instant_of(self.inner, told, state)
+        return inner._replace(logged=(*inner.logged, self.numbers))
+
+    def log(self) -> dict[str, float]:
+        """See Controller.log: the estimates, beside the columns of the controller."""
+        return self.inner.log() | named(COLUMNS, self.numbers.tolist())
+
+
+def believer(controller: Controller, name: str) -> Any:
+    """The controller, which can be told what an observer estimates.
+
+    Raises UsageError where it cannot, or where it identifies its own model from the same accelerometer.
+    """
+    if getattr(innermost(controller), "learns", False):
+        raise UsageError(
+            f"observer={name}: this controller explains the accelerometer by what it learns in flight; an"
+            " observer would explain the same readings a second time. Take one of them"
+        )
+    if not hasattr(controller, "believe"):
+        raise UsageError(f"observer={name}: this controller cannot be told what an observer estimates; an MPC can")
+    return controller
+
+
+def known_delay(given: float | None, controller: Any, name: str) -> float:
+    """What an observer is told of a delay, else what its controller was told (s)."""
+    return float(getattr(getattr(controller, "settings", None), name, 0.0)) if given is None else given
+
+
+def arguments(vehicle: Vehicle, states: int, parameters: int, settings: int) -> dict[str, ca.MX]:
+    """Symbols of an update's arguments, in their order."""
+    n = vehicle.n_rotors
+    sizes = {"s": states, "x": 13, "reading": 3, "read": 1, "thrust": n, "mean": n}
+    sizes |= {"theta": parameters, "settings": settings}
+    return named_symbols(ca.MX, sizes)

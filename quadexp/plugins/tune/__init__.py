@@ -1,0 +1,7 @@
+"""Settings of a controller by flights: the same budget for every controller."""
+
+BRINGS = {
+    "commands": {"tune": "quadexp.plugins.tune.commands:tune"},
+    "api": {"tune": "quadexp.plugins.tune.api:tune", "Tuning": "quadexp.plugins.tune.api:Tuning"},
+    "tables": {"tuning": "quadexp.plugins.tune.api:Tuning"},
+}

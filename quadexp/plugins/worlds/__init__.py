@@ -1,0 +1,3 @@
+"""More of the world: navigation by a Kalman filter, Dryden turbulence, a battery, a slung load."""
+
+BRINGS = {"parts": {"worlds": "quadexp.plugins.worlds"}}

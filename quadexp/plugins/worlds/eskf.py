@@ -1,0 +1,385 @@
+"""An error-state Kalman filter on an IMU, 15 states (Solà 2017, arXiv:1711.02508, sections 5.4 and 6).
+
+    nominal   [p, q, v, b_a, b_g]                 16 numbers: world, body to world, world, body, body
+    error     [dp, dv, dtheta, db_a, db_g]        15: x_true = x + dx, and q_true = q o Exp(dtheta), dtheta in body axes
+
+Over an IMU interval h with the reading [a_m, w_m], phi = (w_m - b_g) h, u = (a_m - b_a) h in the axes of its middle:
+
+    q' = q o Exp(phi)      v' = v + dv_R,  dv_R = R(q o Exp(phi / 2)) u + g h      p' = p + v h + dv_R h / 2
+    P' = F P F' + Q
+
+F is the derivative of this step, exact to first order in the error; Q holds the IMU's white noise and the random walks
+of its biases. A fix comes in number by number: innovation z with the derivative H and the variance r,
+
+    K = P H' / (H P H' + r),   dx += K (z - H dx),   P -= K H P
+
+which for independent numbers is the joint update, without a matrix to invert. Then dx goes into the nominal state, and
+P into the axes of the new attitude, by I - [dtheta]x / 2.
+
+In flight it works on a delayed horizon, with an output for now. Fixes come late, the IMU's readings do not. The filter
+lives d IMU readings ago, d the longest delay among the aids: there every fix is at hand by its own time stamp and is
+used with the state and the covariance of that time, so a delay costs no approximation (as in PX4's EKF2; Khosravian et
+al. 2015). What the controller is told is the filter's state, carried on to now by the IMU readings in between:
+
+    fixes, readings --> queue of d readings --> filter at t - d h --> output predictor over the queue --> p, q, v at t
+    rates: the last gyroscope reading less its estimated bias
+
+A fix that is lost does not come, and the filter only predicts. The filter's noise is that which the sensors state,
+times two factors. When a flight begins the filter has run for a while at rest, from one fix of each aid
+(Aid.first_guess), tilt levelled by an accelerometer of unknown bias, and biases believed to be zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from quadexp.compile.symbolic import ca
+from quadexp.errors import UsageError
+from quadexp.log.schema import BIAS_COLUMNS
+from quadexp.names import named
+from quadexp.parts.sensor_sheet import SensorSheet, Stated
+from quadexp.parts.settings import key, keyed
+from quadexp.physics.expression import Expression, symbols, unit
+from quadexp.physics.rotation import along_z, cross_matrix, exponential, product, right_jacobian, rotation_matrix
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY
+from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.worlds.inertial import FORCE, N_BIAS, N_DENSITIES, N_READING, TURN, Aid, InertialSensors
+from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
+
+N_NOMINAL, N_ERROR = 16, 15
+# Of the nominal state; the others as in physics/state.
+ACCELEROMETER_BIAS, GYROSCOPE_BIAS = slice(10, 13), slice(13, 16)
+PLACES = D_POSITION, D_VELOCITY, D_ATTITUDE, _, _ = tuple(range(i, i + 3) for i in range(0, N_ERROR, 3))
+N_COVARIANCE = N_ERROR * (N_ERROR + 1) // 2  # numbers of the upper triangle
+PARTS = [0, 3, 6, 9, 12, 15]
+N_ENTRY = N_READING + 1  # of the queue, without the fixes: reading and interval
+KNOWN = slice(0, N_NOMINAL + N_COVARIANCE)  # of the inner states: nominal state and covariance; then the queue
+BIASES = slice(D_ATTITUDE.stop, N_ERROR)
+LARGEST_WARM_UP = 2000  # predictions
+VARIANCES = tuple(f"est_var_{kind}_{axis}" for kind in ("p", "v", "theta", "bias_a", "bias_g") for axis in "xyz")
+
+
+def propagate(
+    nominal: Expression, reading: Expression, duration: Expression, gravity: Expression
+) -> tuple[Expression, Callable[[Expression], Expression]]:
+    """The nominal state (16,) after an IMU interval, and d -> F d, which acts on errors (15, k).
+
+    reading: [a_m (m/s^2), w_m (rad/s)], (6,). duration: s. gravity: m/s^2, downwards.
+    """
+    p, q, v = nominal[POSITION], nominal[ATTITUDE], nominal[VELOCITY]
+    u = (reading[:3] - nominal[ACCELEROMETER_BIAS]) * duration
+    phi = (reading[3:] - nominal[GYROSCOPE_BIAS]) * duration
+    half = exponential(phi / 2)
+    turned_half = product(q, half)
+    middle = rotation_matrix(turned_half)
+    pushed = middle @ u
+    gained = pushed + along_z(-gravity * duration)
+    after = ca.vertcat(p + duration * v + duration / 2 * gained, product(turned_half, half), v + gained)
+
+    by_attitude = -(cross_matrix(pushed) @ rotation_matrix(q))
+    by_gyroscope = middle @ cross_matrix(u) @ right_jacobian(phi / 2) * (duration / 2)
+    by_force = middle * duration
+    turn, turn_by_gyroscope = rotation_matrix(product(half, half)).T, -right_jacobian(phi) * duration
+
+    def transition(d: Expression) -> Expression:
+        dp, dv, turned, of_force, of_rate = ca.vertsplit(d, PARTS)
+        gain = by_attitude @ turned - by_force @ of_force + by_gyroscope @ of_rate
+        return ca.vertcat(
+            dp + duration * dv + duration / 2 * gain,
+            dv + gain,
+            turn @ turned + turn_by_gyroscope @ of_rate,
+            of_force,
+            of_rate,
+        )
+
+    return ca.vertcat(after, nominal[10:]), transition
+
+
+def predict(
+    nominal: Expression,
+    covariance: Expression,
+    reading: Expression,
+    duration: Expression,
+    gravity: Expression,
+    densities: Expression,
+) -> tuple[Expression, Expression]:
+    """Nominal state (16,) and covariance (15, 15), symmetric, after an IMU interval; see `propagate`.
+
+    densities: of the IMU's noise, see quadexp.plugins.worlds.inertial.
+    """
+    after, transition = propagate(nominal, reading, duration, gravity)
+    spread = transition(transition(covariance).T)
+    force, rate, force_walk, rate_walk = (densities[i] ** 2 * duration for i in range(4))
+    for dp, dv, turned, of_force, of_rate in zip(*PLACES, strict=True):
+        spread[dp, dp] += force * duration**2 / 4
+        spread[dv, dp] += force * duration / 2
+        spread[dv, dv] += force
+        spread[turned, turned] += rate
+        spread[of_force, of_force] += force_walk
+        spread[of_rate, of_rate] += rate_walk
+    return after, ca.tril2symm(ca.tril(spread))  # below the diagonal the biases' rows are there after one transition
+
+
+def update(
+    nominal: Expression,
+    covariance: Expression,
+    innovations: Sequence[tuple[Expression, dict[int, Expression], Expression]],
+) -> tuple[Expression, Expression]:
+    """Nominal state and covariance after a fix.
+
+    innovations: each its value, its derivative by the error state as {index: coefficient}, and its variance.
+    """
+    d = type(covariance).zeros(N_ERROR)
+    for value, row, variance in innovations:
+        PH = sum(coefficient * covariance[:, i] for i, coefficient in row.items())
+        seen = sum(coefficient * PH[i] for i, coefficient in row.items())
+        told = sum(coefficient * d[i] for i, coefficient in row.items())
+        gain = PH * (1 / (seen + variance))
+        d = d + gain * (value - told)
+        covariance = ca.triu2symm(ca.triu(covariance - gain @ PH.T))
+    return inject(nominal, d), reset(covariance, d)
+
+
+def inject(nominal: Expression, d: Expression) -> Expression:
+    """The nominal state with the error d (15,) added."""
+    dp, dv, turned, of_force, of_rate = ca.vertsplit(d, PARTS)
+    return ca.vertcat(
+        nominal[POSITION] + dp,
+        unit(product(nominal[ATTITUDE], exponential(turned))),
+        nominal[VELOCITY] + dv,
+        nominal[ACCELEROMETER_BIAS] + of_force,
+        nominal[GYROSCOPE_BIAS] + of_rate,
+    )
+
+
+def reset(covariance: Expression, d: Expression) -> Expression:
+    """The covariance about the nominal state into which the error d has gone."""
+    turn = ca.DM.eye(3) - cross_matrix(d[D_ATTITUDE.start : D_ATTITUDE.stop]) / 2
+
+    def apply(P: Expression) -> Expression:
+        parts = ca.vertsplit(P, [0, D_ATTITUDE.start, D_ATTITUDE.stop, N_ERROR])
+        return ca.vertcat(parts[0], turn @ parts[1], parts[2])
+
+    return ca.triu2symm(ca.triu(apply(apply(covariance).T)))
+
+
+def packed(covariance: Expression) -> Expression:
+    """The upper triangle of a covariance, (120,), column by column."""
+    return ca.vertcat(*(covariance[: j + 1, j] for j in range(N_ERROR)))
+
+
+def unpacked(numbers: Expression) -> Expression:
+    """The covariance (15, 15) of its upper triangle (120,)."""
+    columns, first = [], 0
+    for j in range(N_ERROR):
+        columns.append(ca.vertcat(numbers[first : first + j + 1], type(numbers)(N_ERROR - j - 1, 1)))
+        first += j + 1
+    return ca.triu2symm(ca.horzcat(*columns))
+
+
+@keyed
+class Navigation(Effect):
+    """The filter that joins the readings of a world's inertial sensors.
+
+    inner states: nominal state (16,), upper triangle of the covariance (120,), queue (e, d): of each reading the IMU's
+    and, for each aid, whether there is a fix, and the fix. Readings of before the flight have the interval zero."""
+
+    prefix = "estimator."
+
+    process_factor: float = key(
+        1.0, "factor on the standard deviations of the IMU's noise that the filter believes", "(0, 1000]"
+    )
+    measurement_factor: float = key(
+        1.0, "factor on the standard deviations of the aids' noise that the filter believes", "(0, 1000]"
+    )
+    warm_up: float = key(
+        10.0, "how long the vehicle has stood, with the filter running, when a flight begins", "[0, 600]", "s"
+    )
+
+    stage = "estimator"
+
+    inertial: InertialSensors | None = None
+
+    def among(self, effects: Sequence[Effect]) -> Effect:
+        """Raises UsageError where there are no inertial sensors."""
+        found = [effect for effect in effects if isinstance(effect, InertialSensors)]
+        if not found:
+            raise UsageError("estimator=eskf: needs inertial sensors: sensor=imu_mocap or sensor=imu_gnss")
+        return replace(self, inertial=found[0])
+
+    @property
+    def sensors(self) -> InertialSensors:
+        """The sensors that it joins."""
+        assert self.inertial is not None
+        return self.inertial
+
+    @property
+    def entry_size(self) -> int:
+        """Numbers of one reading in the queue."""
+        return N_ENTRY + sum(1 + aid.size for aid in self.sensors.aids)
+
+    def horizon(self, clock: Clock) -> int:
+        """IMU readings that the filter is behind, d."""
+        interval = clock.period / self.sensors.readings(clock)
+        return math.ceil(max(aid.delay for aid in self.sensors.aids) / interval - 1e-9)
+
+    def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
+        return Sizes(
+            inner=N_NOMINAL + N_COVARIANCE + self.entry_size * self.horizon(clock),
+            parameters=1 + N_DENSITIES + sum(len(aid.deviations) for aid in self.sensors.aids),
+        )
+
+    def believed(self, gravity: float) -> np.ndarray:
+        """Parameters: gravity, the IMU's densities, and the aids' deviations, as the filter takes them."""
+        densities = self.process_factor * self.sensors.densities
+        deviations = [self.measurement_factor * aid.deviations for aid in self.sensors.aids]
+        return np.concatenate([[gravity], densities, *deviations])
+
+    def first_deviations(self, gravity: float) -> np.ndarray:
+        """Standard deviations of the error after one fix of each aid, (15,)."""
+        bias = self.sensors.bias_std
+        found = np.zeros(N_ERROR)
+        found[D_ATTITUDE.start : D_ATTITUDE.stop] = bias[0] / gravity
+        for aid in self.sensors.aids:
+            found[list(aid.first_guess)] = list(aid.first_guess.values())
+        found[D_ATTITUDE.stop :] = bias
+        return found
+
+    def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
+        """The error is drawn from the covariance that standing for `warm_up` leaves, given the true biases.
+
+        b = b^ + e_b, and the estimate b^ is uncorrelated with all errors e: so cov(e, b) = cov(e, e_b).
+        """
+        gravity, standing = start.vehicle.gravity, _standing(self, start.vehicle.gravity)
+        turned = Rotation.from_quat(start.x[ATTITUDE], scalar_first=True).as_matrix().T
+        bias, spread = start.begun[self.sensors.part][:N_BIAS], self.sensors.bias_std**2
+        by_bias = np.divide(standing[:, BIASES], spread, out=np.zeros((N_ERROR, N_BIAS)), where=spread > 0)
+        values, vectors = np.linalg.eigh(standing - by_bias @ standing[BIASES])
+        drawn = vectors @ (np.sqrt(np.maximum(values, 0)) * rng.standard_normal(N_ERROR))
+        drawn += by_bias @ np.concatenate([turned.T @ bias[FORCE], turned.T @ bias[TURN]])
+        to_body = np.eye(N_ERROR)
+        for place in PLACES[2:]:
+            to_body[np.ix_(place, place)] = turned
+        truth = np.concatenate([start.x[: RATE.start], bias])
+        known = _off_by()(truth, -to_body @ drawn, to_body @ standing @ to_body.T)
+        queue = np.zeros(self.entry_size * self.horizon(start.clock))
+        return np.concatenate([known.full().ravel(), queue]), self.believed(gravity)
+
+    def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
+        """The deviations that the filter states when a flight begins; its errors are slow, its state is of now."""
+        deviations = np.sqrt(np.diag(_standing(self, vehicle.gravity)))
+        position, velocity, attitude = (Stated(drift=float(deviations[list(place)].max())) for place in PLACES[:3])
+        return replace(sheet, position=position, velocity=velocity, attitude=attitude)
+
+    def first(self, inner: np.ndarray, state: np.ndarray) -> np.ndarray:
+        return np.concatenate([inner[: RATE.start], state[RATE]])
+
+    def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
+        """Estimated biases, and the variances of the error, both on the horizon."""
+        diagonal = [N_NOMINAL + i * (i + 3) // 2 for i in range(N_ERROR)]
+        biases = {f"est_{name}": len(STATE_COLUMNS[: RATE.start]) + i for i, name in enumerate(BIAS_COLUMNS)}
+        return biases | named(VARIANCES, diagonal)
+
+    def measure(self, at: Readings, told: Told) -> tuple[ca.MX, Told]:
+        aids, count, behind = self.sensors.aids, self.sensors.readings(at.clock), self.horizon(at.clock)
+        entries = ca.vertcat(told["imu"], *(told[aid.name] for aid in aids))
+        queue = ca.horzcat(ca.reshape(at.inner[KNOWN.stop :], self.entry_size, behind), entries)
+        known = self._filter().fold(count)(at.inner[KNOWN], queue[:, :count], ca.repmat(at.parameters, 1, count))
+        queue = queue[:, count:]
+        nominal = known[:N_NOMINAL]
+        if behind:
+            gravity = ca.repmat(at.parameters[0], 1, behind)
+            nominal = self._output().fold(behind)(nominal, queue[:N_ENTRY, :], gravity)
+        rates = told["imu"][TURN, -1] - nominal[GYROSCOPE_BIAS]
+        state = ca.vertcat(nominal[: RATE.start], rates)
+        return ca.vertcat(known, ca.vec(queue)), told | {"state": state}
+
+    def _output(self) -> ca.Function:
+        """(nominal state, entry, gravity) -> nominal state after the entry's interval."""
+        nominal, entry, gravity = symbols(ca.SX, nominal=N_NOMINAL, entry=N_ENTRY, gravity=1)
+        after, _ = propagate(nominal, entry[:N_READING], entry[N_READING], gravity)
+        return ca.Function("predict_output", [nominal, entry, gravity], ca.cse([after]))
+
+    def _filter(self) -> ca.Function:
+        """([nominal state, covariance], entry, parameters) -> [nominal state, covariance] after the entry."""
+        known, entry, parameters = symbols(
+            ca.MX,
+            known=KNOWN.stop,
+            entry=self.entry_size,
+            parameters=1 + N_DENSITIES + sum(len(aid.deviations) for aid in self.sensors.aids),
+        )
+        found = prediction()(known, entry[:N_READING], entry[N_READING], parameters[: 1 + N_DENSITIES])
+        place, told = N_ENTRY, 1 + N_DENSITIES
+        for aid in self.sensors.aids:
+            fix, place = entry[place : place + 1 + aid.size], place + 1 + aid.size
+            deviations, told = parameters[told : told + len(aid.deviations)], told + len(aid.deviations)
+            found = correction(aid)(fix[0], found, fix[1:], deviations)
+        return ca.Function("filter_step", [known, entry, parameters], [found])
+
+
+@cache
+def _standing(filter_: Navigation, gravity: float) -> np.ndarray:
+    """Covariance (15, 15) after `warm_up` at rest, level, body axes along the world's, without outages.
+
+    The biases are constant for that time; the filter's factors are not applied. At most LARGEST_WARM_UP predictions.
+    """
+    sensors = filter_.sensors
+    interval = max(1 / sensors.imu_rate, filter_.warm_up / LARGEST_WARM_UP)
+    densities = sensors.densities
+    densities[2:] = 0
+    x = np.concatenate([np.zeros(3), [1], np.zeros(9)])
+    reading, parameters = [0, 0, gravity, 0, 0, 0], np.concatenate([[gravity], densities])
+    fixes = [aid.measure(ca.DM(x), ca.DM.zeros(aid.noise), ca.DM(aid.deviations)) for aid in sensors.aids]
+    first = ca.diag(ca.DM(filter_.first_deviations(gravity) ** 2))
+    known = ca.vertcat(x, ca.DM.zeros(N_NOMINAL - len(x)), packed(ca.densify(first)))
+    predict, corrections = prediction(), [correction(aid) for aid in sensors.aids]
+    due = np.zeros(len(sensors.aids))
+    for _ in range(round(filter_.warm_up / interval)):
+        known = predict(known, reading, interval, parameters)
+        for i, aid in enumerate(sensors.aids):
+            due[i] += aid.rate * interval
+            if due[i] >= 1:
+                due[i] %= 1
+                known = corrections[i](1, known, fixes[i], aid.deviations)
+    return np.array(unpacked(known[N_NOMINAL:]).full())
+
+
+@cache
+def _off_by() -> ca.Function:
+    """(nominal state, an error (15,), covariance (15, 15)) -> [nominal state with the error added, covariance]."""
+    nominal, d, covariance = symbols(ca.SX, nominal=N_NOMINAL, d=N_ERROR, covariance=(N_ERROR, N_ERROR))
+    found = ca.vertcat(inject(nominal, d), packed(covariance))
+    return ca.Function("off_by", [nominal, d, covariance], [found])
+
+
+def prediction() -> ca.Function:
+    """([nominal state, covariance], reading (6,), interval, [gravity, densities]) -> [nominal state, covariance]."""
+    known, reading, duration, parameters = symbols(
+        ca.SX, known=KNOWN.stop, reading=N_READING, duration=1, parameters=1 + N_DENSITIES
+    )
+    covariance = unpacked(known[N_NOMINAL:])
+    nominal, covariance = predict(known[:N_NOMINAL], covariance, reading, duration, parameters[0], parameters[1:])
+    found = ca.vertcat(nominal, packed(covariance))
+    return ca.Function("predict", [known, reading, duration, parameters], ca.cse([found]))
+
+
+def correction(aid: Aid) -> ca.Function:
+    """(whether there is a fix, [nominal state, covariance], fix, deviations) -> [nominal state, covariance]."""
+    known, fix, deviations = symbols(ca.SX, known=KNOWN.stop, fix=aid.size, deviations=len(aid.deviations))
+    nominal, covariance = known[:N_NOMINAL], unpacked(known[N_NOMINAL:])
+    innovations = [(one.value, one.row, deviations[one.deviation] ** 2) for one in aid.compare(nominal, fix)]
+    nominal, covariance = update(nominal, covariance, innovations)
+    found = ca.cse([ca.vertcat(nominal, packed(covariance))])
+    arguments = [known, fix, deviations]
+    return ca.Function.if_else(
+        f"correct_by_{aid.name}",
+        ca.Function(f"with_{aid.name}", arguments, found),
+        ca.Function(f"without_{aid.name}", arguments, [known]),
+    )

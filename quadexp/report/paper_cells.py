@@ -1,0 +1,86 @@
+"""A cell of a table for a paper: a mean, its interval in one of three forms, and how many flights were completed.
+
+12.3    12.3 ± 0.2    12.3 [12.1, 12.5]    **12.3** (best)    12.3* (significant)    12.3 (4/5)    0/5
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from quadexp.report.statistics import Statistic
+from quadexp.report.text import shown, with_interval
+
+Intervals = Literal["none", "pm", "brackets"]
+
+
+def number_text(
+    mean: float, low: float, high: float, intervals: Intervals, digits: int | None = None
+) -> tuple[str, str]:
+    """A mean and its interval: ("12.3", ""), ("12.3", " ± 0.2") or ("12.3", " [12.1, 12.5]").
+
+    digits: significant ones of the mean; None for as many as the interval needs, or three."""
+    there = intervals != "none" and math.isfinite(high - low)
+    text, _ = with_interval(mean, low, high) if there else with_interval(mean)
+    if digits is not None:
+        first = math.floor(math.log10(abs(mean))) if mean else 0
+        text = f"{mean:.{max(0, digits - 1 - first)}f}"
+    if not there:
+        return text, ""
+    decimals = len(text.partition(".")[2])
+    if intervals == "pm":
+        return text, f" ± {high - mean:.{decimals}f}"
+    return text, f" [{low:.{decimals}f}, {high:.{decimals}f}]"
+
+
+def cell_text(
+    factor: float, point: Point, statistic: Statistic | None, intervals: Intervals, digits: int | None
+) -> str:
+    """Such as "**12.3** ± 0.2* (4/5)": best, significant, 4 of 5 flights completed."""
+    if point.invalid:
+        return "invalid"
+    ended = f"{point.ended}/{point.trials}"
+    if not point.is_shown:
+        return ended if point.trials else "-"
+    mean, low, high = (factor * value for value in (point.mean, point.low, point.high))
+    text, interval = number_text(mean, low, high, intervals, digits)
+    if statistic is not None and statistic.best:
+        text = f"**{text}**"
+    star = "*" if statistic is not None and statistic.significant else ""
+    lost = f" ({ended})" if point.ended < point.trials else ""
+    return text + interval + star + lost
+
+
+def compact_cell(intervals: Intervals, digits: int | None = None) -> Callable[[Statistic], str]:
+    """What writes a statistic of the error table into a cell of a paper's table."""
+
+    def cell(s: Statistic) -> str:
+        ended, trials = s.flown
+        point = Point(s.common_mean, s.common_low, s.common_high, ended=ended, trials=trials)
+        return cell_text(shown(s.metric)[0], point, s, intervals, digits)
+
+    return cell
+
+
+@dataclass(frozen=True)
+class Point:
+    """mean, low, high: NaN where there is no common flight. flights, seeds: in the mean. ended: flights that ended
+    well, of trials. lost: outcome -> number of the others. method: of the interval. invalid: why there was nothing to
+    fly."""
+
+    mean: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    flights: int = 0
+    seeds: int = 0
+    ended: int = 0
+    trials: int = 0
+    lost: Mapping[str, int] = field(default_factory=dict)
+    method: str = "none"
+    invalid: str = ""
+
+    @property
+    def is_shown(self) -> bool:
+        return math.isfinite(self.mean)

@@ -1,0 +1,93 @@
+"""What acts, and when: a pure function of the posterior and of what is measured beside it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from quadexp.control.mpc.settings import MPCSettings
+from quadexp.plugins.auto.decide import Decision, Senses, decide, grids
+from quadexp.plugins.auto.posterior import Posterior
+from quadexp.plugins.auto.settings import DECISION
+
+GRIDS = DECISION.grids
+
+
+def found(age=0.0, total=0.0, lag=0.0, *, sd=0.0005, age_odds=0.0, total_odds=0.0, at_end=False):
+    mean = np.array([age, total, lag])
+    upper = np.full(3, np.inf) if at_end else mean + 2 * sd
+    return Posterior(mean, np.full(3, sd), np.maximum(mean - 2 * sd, 0), upper, age_odds, total_odds, False)
+
+
+def test_delays_act_from_their_bayes_factors_on():
+    """An age from very strong evidence on, a dead time and lag from positive evidence on (Kass & Raftery 1995)."""
+    for age in (0.005, 0.03):  # a short one looks like how forces go between readings
+        needed = DECISION.age_odds * (1 + DECISION.between / age)
+        for odds, acted in ((needed - 1, 0.0), (needed + 1, age)):
+            assert decide(found(age=age, age_odds=odds), Decision(), Senses()).age == acted
+    for odds, acted in ((DECISION.total_odds - 1, 0.0), (DECISION.total_odds + 1, 0.04)):
+        assert decide(found(total=0.04, lag=0.03, total_odds=odds), Decision(), Senses()).total == pytest.approx(acted)
+
+
+def test_a_decision_is_a_pure_function_of_what_is_known():
+    known, last, senses = found(age=0.01, total=0.02, lag=0.01, age_odds=20, total_odds=9), Decision(grid=2), Senses()
+    first = decide(known, last, senses)
+    decide(found(age=0.05, age_odds=20), Decision(), Senses(saturated=0.9))
+    assert decide(known, last, senses) == first
+
+
+def test_small_changes_of_what_is_known_change_nothing():
+    first = decide(found(total=0.04, lag=0.03, total_odds=9), Decision(), Senses())
+    assert (first.dead_time, first.lag) == pytest.approx((0.01, 0.03))
+    again = decide(found(total=0.0402, lag=0.031, total_odds=9), first, Senses())
+    assert (again.dead_time, again.lag) == (first.dead_time, first.lag)
+    assert decide(found(total=0.05, lag=0.031, total_odds=9), again, Senses()).total == pytest.approx(0.05)
+
+
+def test_the_grid_gets_stiffer_step_by_step_and_softer_at_once():
+    decision, levels = Decision(), []
+    for _ in range(5):
+        decision = decide(found(), decision, Senses())
+        levels.append(decision.grid)
+    assert levels == [1, 2, 3, 4, 4]
+    assert decide(found(sd=0.004), decision, Senses()).grid == 2
+    assert decide(found(), decision, Senses(position=2 * DECISION.large_noise)).grid == 3
+    assert decide(found(total=0.03, total_odds=9), decision, Senses()).grid == 3
+    assert decide(found(), decision, Senses(saturated=2 * DECISION.saturated)).grid == DECISION.middle
+
+
+def test_what_may_be_any_later_is_flown_on_the_softest_grid():
+    """With what is known acted on: acting on nothing loses the vehicle."""
+    late = decide(found(age=0.09, age_odds=50, at_end=True), Decision(grid=3), Senses())
+    assert (late.age, late.grid) == (0.09, 0)
+
+
+def test_a_disturbance_without_other_evidence_ends_the_softest_grid():
+    assert decide(None, Decision(), Senses()).grid == 0
+    assert decide(None, Decision(), Senses(acts=True)).grid == 1
+
+
+def test_no_grid_is_softer_than_what_was_asked_for():
+    asked = MPCSettings(rate=50.0, nodes=10, position_weight=(200.0, 1.0, 500.0))
+    assert grids(asked)[0] == asked  # the controller's own
+    for settings, grid in zip(grids(asked)[1:], GRIDS, strict=True):
+        assert settings.position_weight == (200.0, grid.position_weight, 500.0)
+
+
+def test_a_position_weighs_as_much_beside_the_other_weights_whatever_these_are():
+    """A cost twenty times as large has the same optimum; one other weight that is not larger keeps the position's."""
+    asked = MPCSettings(rate=100.0, nodes=20, attitude_weight=(0.0, 5.0, 5.0, 200.0), velocity_weight=(1.0,) * 3)
+    asked = replace(asked, rate_weight=(1.0,) * 3, input_weight=433.5)
+    for settings, grid in zip(grids(asked)[1:], GRIDS, strict=True):
+        assert settings.position_weight == pytest.approx((20 * grid.position_weight,) * 3)
+    assert grids(asked)[0].position_weight == asked.position_weight  # while nothing is known, as asked
+    damped = replace(asked, input_weight=0.03)
+    assert [one.position_weight[0] for one in grids(damped)[1:]] == [grid.position_weight for grid in GRIDS]
+
+
+def test_grids_fit_any_rate_and_number_of_nodes():
+    for rate, nodes in ((50.0, 10), (100.0, 20), (20.0, 5)):
+        fitting = grids(MPCSettings(rate=rate, nodes=nodes, input_hold="deviation"))
+        assert len(fitting) == 1 + len(GRIDS) and {settings.nodes for settings in fitting} == {nodes}

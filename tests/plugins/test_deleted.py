@@ -1,0 +1,69 @@
+"""The folder of any plug-in can be deleted: the program flies, lists and refuses without it, and the core learns,
+flies a sweep and reports without all of them."""
+
+import shutil
+import sys
+
+import pytest
+
+from quadexp.plugin import BRINGS, shipped_plugins
+from tests.faults.command import apart
+from tests.house import PACKAGE, ROOT, plugins
+
+FLIGHT = ("controller=nominal_mpc", "trajectory=hover", "trajectory.duration=1")
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    """A copy of the program, and its command."""
+    shutil.copytree(PACKAGE, tmp_path / "quadexp", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "conf", tmp_path / "conf")
+
+    def command(*words):
+        return apart(
+            *words, environment={"PYTHONPATH": str(tmp_path)}, before=f"import os; os.chdir({str(tmp_path)!r})"
+        )
+
+    return tmp_path, command
+
+
+def test_every_folder_of_plugins_says_what_it_brings():
+    assert [*shipped_plugins()] == plugins()
+    assert any(sys.modules[f"quadexp.plugins.{name}"].BRINGS for name in plugins())
+
+
+@pytest.mark.parametrize("name", plugins())
+def test_the_program_flies_without_it(name, checkout):
+    folder, command = checkout
+    shutil.rmtree(folder / "quadexp" / "plugins" / name)
+    done = command("simulate", *FLIGHT, "--out", "a.parquet")
+    assert done.returncode == 0, done.stderr
+    listed = command("--help").stdout
+    brings = sys.modules[f"quadexp.plugins.{name}"].BRINGS.get("commands", {})
+    assert all(f" {word} " in listed for word in BRINGS["commands"])
+    assert not any(f" {word} " in listed for word in brings)
+    for word in list(brings)[:1]:
+        refused = command(word, "x")
+        assert refused.returncode == 2 and refused.stderr.count("\n") == 1 and word in refused.stderr, refused.stderr
+
+
+def test_the_core_does_its_work_without_all_of_them(checkout):
+    folder, command = checkout
+    shutil.rmtree(folder / "quadexp" / "plugins")
+    for words in (
+        ("collect", "collect.duration=20", "--out", "rows.parquet"),
+        ("fit", "gaussian_process", "rows.parquet", "model.inducing=8", "--no-figures", "--out", "gp"),
+        ("evaluate", "--sweep", "controller=nominal_mpc,gp_mpc", "model=gp", *FLIGHT[1:], "--out", "results"),
+        ("results", "results", "--json"),
+        ("show", "gp"),
+    ):
+        done = command(*words)
+        assert done.returncode == 0, (words, done.stderr)
+    assert (folder / "results" / "results.parquet").is_file() and not (folder / "results" / "figures").exists()
+    for words, said in (
+        (("simulate", *FLIGHT, "observer=disturbance"), "observer._target_="),
+        (("evaluate", "--sweep", "--figures", *FLIGHT, "--out", "again"), "--figures: no plug-in"),
+        (("results", "results", "--html", "a.html"), "--html: no plug-in"),
+    ):
+        done = command(*words)
+        assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1, done.stderr
