@@ -258,7 +258,10 @@ def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> di
     from quadexp.models.base import outside
     from quadexp.models.dataset import feature_rows
 
-    ranges = dict(air_of(innermost(controller)).ranges or {})
+    air = air_of(innermost(controller))
+    if air.is_zero:  # an exported controller that knows nothing of the air
+        return None
+    ranges = dict(air.ranges or {})
     record = {"model": model.path, "share": None, "shares": {}, "ranges": ranges, "where": ""}
     if not ranges or not len(flight):
         return record | {"note": "the flight has no samples" if ranges else UNKNOWN_RANGES}

@@ -138,7 +138,7 @@ def test_a_folder_that_was_changed_is_refused(folders: dict[str, Path], tmp_path
     folder = copied(folders["law"], tmp_path)
     (folder / "loop.c").write_text((folder / "loop.c").read_text() + "\n")
     with pytest.raises(DataError, match=r"loop\.c: is not as it was exported"):
-        flown("controller=exported", f"model={folder}")
+        exported(folder)
 
 
 def test_another_vehicle_is_refused(folders: dict[str, Path]) -> None:
