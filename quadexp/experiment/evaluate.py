@@ -259,10 +259,10 @@ def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> di
     from quadexp.models.dataset import feature_rows
 
     air = air_of(innermost(controller))
-    if air.is_zero:  # an exported controller that knows nothing of the air
-        return None
     ranges = dict(air.ranges or {})
     record = {"model": model.path, "share": None, "shares": {}, "ranges": ranges, "where": ""}
+    if air.is_zero:  # of an exported controller that knows nothing of the air: there are no data to leave
+        return record | {"share": 0.0, "note": ""}
     if not ranges or not len(flight):
         return record | {"note": "the flight has no samples" if ranges else UNKNOWN_RANGES}
     rate = flight.stack(["w_x", "w_y", "w_z"])
