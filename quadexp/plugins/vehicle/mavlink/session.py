@@ -203,7 +203,7 @@ class Session:
                 return "solver_failed", str(failure)
             if loop.failed:
                 return "solver_failed", f"the control step failed at t={loop.times[k]:.2f} s"
-            rates = loop.rates if self.gain is None else wanted_rates(loop.vehicle, x, thrusts, self.gain)
+            rates = loop.rates if self.gain is None else wanted_rates(loop.vehicle, x, thrusts, self.gain, loop.period)
             assert rates is not None
             self._answer(rates, float(thrusts.sum()), round(1e3 * stamp))
             self.ages.append(time.monotonic() - arrived)
