@@ -52,7 +52,15 @@ class Board:
             folder / name for name in ("controller.c", "model.c", "mpc.c", "node.c") if name in self.about["files"]
         ]
         files = [str(path) for path in (*sources, HERE / "embedded.c")]
-        script = ["-T", str(HERE / "embedded.ld"), f"-I{folder}", "-O2", "-std=c11", "-ffp-contract=off"]
+        script = [
+            "-T",
+            str(HERE / "embedded.ld"),
+            f"-I{folder}",
+            "-O2",
+            "-std=c11",
+            "-ffp-contract=off",
+            "-fno-math-errno",
+        ]
         subprocess.run([COMPILER, *FLAGS[cpu], *script, *LINK, *files, *ROOTS, "-o", str(self.program)], check=True)
         self.places = {
             name: int(at, 16) for at, _, name in (line.split() for line in self._tool("nm") if line.count(" ") > 1)

@@ -258,8 +258,11 @@ def outside_data(flight: Flight, model: ModelFile | None, controller: Any) -> di
     from quadexp.models.base import outside
     from quadexp.models.dataset import feature_rows
 
-    ranges = dict(air_of(innermost(controller)).ranges or {})
+    air = air_of(innermost(controller))
+    ranges = dict(air.ranges or {})
     record = {"model": model.path, "share": None, "shares": {}, "ranges": ranges, "where": ""}
+    if air.is_zero:  # of an exported controller that knows nothing of the air: there are no data to leave
+        return record | {"share": 0.0, "note": ""}
     if not ranges or not len(flight):
         return record | {"note": "the flight has no samples" if ranges else UNKNOWN_RANGES}
     rate = flight.stack(["w_x", "w_y", "w_z"])

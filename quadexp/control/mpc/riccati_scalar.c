@@ -32,11 +32,12 @@ static void riccati(const real *restrict cost, const real *restrict rows, const 
   real L[N_INPUTS][N_INPUTS], inverse[N_INPUTS], G[N_INPUTS][ROW], G_place[N_INPUTS][PLACE];
 
   /* W = P [A B b], with p in the affine column; the last row of full is only there to be read. */
-  for (int i = 0; i <= STATES; ++i) {
-    const int row = i < STATES ? i : 0;
-    for (int c = 0; c < PLACE; ++c) full[i][c] = row < PLACE ? P_place[row][c] : P[c][row - PLACE];
-    for (int c = 0; c < MOTION; ++c) full[i][PLACE + c] = P[row][c];
-  }
+  for (int i = 0; i < PLACE; ++i)
+    for (int c = 0; c < PLACE; ++c) full[i][c] = P_place[i][c];
+  for (int i = PLACE; i < STATES; ++i)
+    for (int c = 0; c < PLACE; ++c) full[i][c] = P[c][i - PLACE];
+  for (int i = 0; i < STATES; ++i) __builtin_memcpy(full[i] + PLACE, P[i], sizeof(real) * MOTION);
+  __builtin_memcpy(full[STATES], full[0], sizeof full[0]);
   for (int i = 0; i < STATES; i += 2)
     for (int j = 0; j < ROW; j += BLOCK_COLUMNS) {
       const int at = block(j);

@@ -4,7 +4,7 @@ at the top."""
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Out, Overrides, command
 
@@ -66,11 +66,11 @@ def fly(
     path = None if out is None else check_output(out, force=force)
     asked = Asked(thrust, rates, arm, vehicle_is_real, lockstep)
     flight = fly_mavlink(target, overrides, conf, asked)
-    written: list[Any] = [] if path is None else [write_flight(path, flight, force=force)]
+    written = [] if path is None else [write_flight(path, flight, force=force)]
     about = flight.metadata
     latency = about["latency_ms"]
     record = {"outcome": about["outcome"], "cause": about["cause"], "steps": len(flight), "latency_ms": latency}
-    lines: list[Any] = [f"outcome     {about['outcome']} {about['cause']}".rstrip(), f"steps       {len(flight)}"]
-    lines += [f"answers     median {latency['p50']:.2f} ms, 99 % {latency['p99']:.2f} ms", *written]
+    lines = [f"outcome     {about['outcome']} {about['cause']}".rstrip(), f"steps       {len(flight)}"]
+    lines += [f"answers     median {latency['p50']:.2f} ms, 99 % {latency['p99']:.2f} ms", *map(str, written)]
     wrong = [] if about["outcome"] == "ok" else [about["cause"]]
     return Answer(record, [record | latency], lines, failed=wrong)

@@ -116,10 +116,11 @@ def folder_of(
     functions = [function for _, function in generate.functions_of(made).values()]
     functions += [start[0]] if start[0] is not None else []
     files: dict[str, str | bytes] = {
-        "controller.h": generate.controller_h(made, about),
+        "controller.h": generate.controller_h(made, about, len(reference)),
         "controller.c": generate.controller_c(made),
         "model.c": generate.model_c(made, functions),
         "real.h": generate.real_h(names),
+        "table.c": generate.table_c(made, reference),
     }
     texts = [generate.HERE / name for name in ("vehicle.c", "reference.c", "check.c")]
     texts += generate.KERNELS[:1]
@@ -160,7 +161,7 @@ def checked_files(
     flies = flight.contexts is not None and period is not None and len(flight.contexts) > 0
     rows += [f"#define HAS_PLANT {int(flies)}"]
     if flies and period is not None and flight.contexts is not None:
-        function = period.function.origin  # of a compiled one
+        function = period.function.origin
         steps = len(flight.contexts)
         along = np.array([row[:3] for row in reference.along()[0][:steps]])
         flown = np.array([reference.at(0)[0][:3], *flight.positions])[:steps]
@@ -222,7 +223,7 @@ def description(config: Config, controller: Any, names: generate.Names) -> list[
 
 def build_files(made: generate.Program, files: Sequence[str]) -> dict[str, str]:
     """Makefile and CMakeLists.txt."""
-    sources = [name for name in ("controller.c", "model.c", "mpc.c", "node.c") if name in files]
+    sources = [name for name in ("controller.c", "model.c", "mpc.c", "node.c", "table.c") if name in files]
     plant = "plant.c" if "plant.c" in files else ""
     texts = {
         name: (generate.HERE / f"{name}.in").read_text(encoding="utf-8") for name in ("Makefile", "CMakeLists.txt")

@@ -28,8 +28,8 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.vehicle.export import FORMAT, MANIFEST
 from quadexp.plugins.vehicle.record import packed
 
-SOURCES = ("controller.c", "model.c", "mpc.c", "node.c")
-FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
+SOURCES = ("controller.c", "model.c", "mpc.c", "node.c", "table.c")
+FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
 OK = 0  # what reset and step answer
 
 

@@ -24,8 +24,9 @@ import quadexp.control.mpc.stages as stages
 from quadexp.compile.symbolic import ca
 from quadexp.control.instant import Operation
 from quadexp.control.mpc.mpc import MAX_TURN, PLAIN_ITERATIONS, TOLERANCE
+from quadexp.experiment.rollout import SampledReference
 from quadexp.physics.state import N_STATE, RATE
-from quadexp.plugins.vehicle.arrays import Arrays
+from quadexp.plugins.vehicle.arrays import Arrays, span
 
 HERE = Path(__file__).parent
 STEP = ("stages.c", "riccati_scalar.c", "active_set.c")
@@ -56,6 +57,7 @@ QUIET = "".join(  # of generated code: arguments and tables that a function does
     f'#pragma GCC diagnostic ignored "-W{name}"\n'
     for name in ("unused-parameter", "unused-const-variable", "unused-function", "float-conversion")
 )
+QUIET += '#ifndef __clang__\n#pragma GCC diagnostic ignored "-Wmaybe-uninitialized"\n#endif\n'
 
 
 class Names(NamedTuple):
@@ -140,7 +142,7 @@ def functions_of(made: Program) -> dict[int, tuple[str, ca.Function]]:
     for operation in made.operations:
         if operation.function is None or id(operation.function.function) in found:
             continue
-        origin = operation.function.function.origin  # of a compiled one
+        origin = operation.function.function.origin
         name = f"{origin.name()}_{len(taken)}" if origin.name() in taken else origin.name()
         if name != origin.name():
             symbols = origin.mx_in()
@@ -202,8 +204,8 @@ def mpc_c(made: Program) -> str:
     )
 
 
-def controller_h(made: Program, about: Sequence[str]) -> str:
-    """What the program around it includes. about: lines that say what it is."""
+def controller_h(made: Program, about: Sequence[str], instants: int) -> str:
+    """What the program around it includes. about: lines that say what it is. instants: of the recorded reference."""
     names, controller = made.names, made.controller
     p, P = names.prefix, names.upper
     times = ", ".join(f"{t:.6g}" for t in controller.node_times)
@@ -254,6 +256,9 @@ const {p}_real *{p}_rates(void);
 /* References. hold: hover at a position (m) with a heading (rad). flat: of flat outputs, the first of now, the others
    at the node times; without the air. 0, with nothing written, where they are no flight: free fall, upside down. */
 typedef struct {{ {p}_real path[5][3], yaw[3]; }} {p}_output; /* position .. snap; heading, rate, acceleration */
+/* table: the reference that was exported, at a control instant from 0 on; after its end the last one. */
+enum {{ {P}_INSTANTS = {instants} }};
+void {p}_table({p}_window *window, int instant);
 void {p}_hold({p}_window *window, const {p}_real position[3], {p}_real heading);
 int {p}_flat({p}_window *window, const {p}_output outputs[{P}_ROWS + 1]);
 
@@ -262,6 +267,40 @@ int {p}_flat({p}_window *window, const {p}_output outputs[{P}_ROWS + 1]);
 #endif
 #endif
 """
+
+
+def table_c(made: Program, reference: SampledReference) -> str:
+    """The reference that is exported, a row an instant of its grid, with what each window takes of it."""
+    names, controller = made.names, made.controller
+    p, P, n = names.prefix, names.upper, controller.vehicle.n_rotors
+    states, inputs, where = reference.horizons()
+    paths, yaws = reference.path()
+    told = [span(array)[0] for array in (controller.running.told.path, controller.running.told.yaw)]
+    called = [operation.function for operation in made.operations if operation.function is not None]
+    reads = {array.ctypes.data for function in called for array in function.arguments.values()}
+    looks = any(first <= place < first + 120 for first in told for place in reads)
+    grid = np.column_stack([states, inputs])
+    follow = np.column_stack([paths.reshape(len(paths), -1), yaws]) if looks else np.zeros((1, 1))
+    rows = [("grid", grid, f"{N_STATE + n}"), ("follow", follow, f"{follow.shape[1]}")]
+    lines = ['#include "real.h"', '#include "controller.h"', "#include <string.h>"]
+    lines += ["typedef REAL real;", ""]
+    for name, values, width in rows:
+        texts = ",\n".join(f"    {{{names.literals(row)}}}" for row in values)
+        lines.append(f"static const real {name}[{len(values)}][{width}] = {{\n{texts}\n}};")
+    indices = ",\n".join(f"    {{{', '.join(map(str, row))}}}" for row in where.tolist())
+    lines.append(f"static const int where[{where.shape[0]}][{where.shape[1]}] = {{\n{indices}\n}};")
+    lines += [f"void {p}_table({p}_window *w, int instant) {{"]
+    lines += [f"    const int k = instant < 0 ? 0 : instant < {P}_INSTANTS ? instant : {P}_INSTANTS - 1;"]
+    lines += ["    memset(w, 0, sizeof *w);", f"    for (int i = 0; i < {P}_ROWS; i++) {{"]
+    lines += ["        const real *row = grid[where[k][i]];"]
+    lines += [f"        memcpy(w->states[i], row, {N_STATE} * sizeof(real));"]
+    lines += [f"        if (i < {P}_ROWS - 1) memcpy(w->inputs[i], row + {N_STATE}, {n} * sizeof(real));", "    }"]
+    if looks:
+        lines += ["    memcpy(w->path, follow[k], 15 * sizeof(real));"]
+        lines += ["    memcpy(w->yaw, follow[k] + 15, 4 * sizeof(real));", "}"]
+    else:
+        lines += ["    (void)follow; /* this controller reads no path and no heading */", "}"]
+    return "\n".join(lines) + "\n"
 
 
 def changeable(made: Program) -> list[tuple[str, np.ndarray]]:

@@ -138,7 +138,7 @@ def test_a_folder_that_was_changed_is_refused(folders: dict[str, Path], tmp_path
     folder = copied(folders["law"], tmp_path)
     (folder / "loop.c").write_text((folder / "loop.c").read_text() + "\n")
     with pytest.raises(DataError, match=r"loop\.c: is not as it was exported"):
-        flown("controller=exported", f"model={folder}")
+        exported(folder)
 
 
 def test_another_vehicle_is_refused(folders: dict[str, Path]) -> None:
@@ -224,6 +224,21 @@ def test_hold_is_an_equilibrium(folders: dict[str, Path]) -> None:
     thrusts, _ = c.step(Measurement(0.0, window.state[0], None, None), window)
     assert np.allclose(thrusts, c.vehicle.hover_thrust, rtol=1e-9)
     assert np.allclose(c.vehicle.allocation @ window.input[0], [c.vehicle.mass * c.vehicle.gravity, 0, 0, 0])
+
+
+@pytest.mark.parametrize("name", ["mpc", "law"])
+def test_table_is_the_exported_reference(folders: dict[str, Path], name: str) -> None:
+    loop, c = python_loop(*CASES[name]), exported(folders[name])
+    rows, n = len(c.node_times), c.vehicle.n_rotors
+    values = np.zeros(13 * rows + n * max(rows - 1, 1) + 19)
+    for k in (0, 7, len(loop.times) - 1, len(loop.times) + 5):
+        c._library.qx_table(ctypes.c_void_p(values.ctypes.data), k)
+        window, expected = window_of(values, rows, n), loop._reference.window(min(k, len(loop.times) - 1))
+        assert np.array_equal(window.state, expected.state)
+        assert np.array_equal(window.input, expected.input)
+        if name == "law":
+            assert np.array_equal(window.position, expected.position)
+            assert np.array_equal(window.yaw, expected.yaw)
 
 
 class Turning:

@@ -4,9 +4,10 @@
     forward right down -> forward left up  F = (x, -y, -z)
     attitude                               q_P q q_F, half a turn about (1, 1, 0) and about x
 
-Rates that an autopilot's rate loop alpha = K (w* - w) turns into the angular acceleration of rotor thrusts u:
+Rates that an autopilot's rate loop alpha = K (w* - w) turns into the angular acceleration of rotor thrusts u, in the
+mean over a control period h, in which w comes nearer to w*:
 
-    w* = w + K^-1 J^-1 (tau - w x J w),    tau = G_tau u
+    w* = w + h (1 - exp(-K h))^-1 J^-1 (tau - w x J w),    tau = G_tau u
 """
 
 from __future__ import annotations
@@ -116,8 +117,11 @@ def rate_gain(text: str) -> np.ndarray | None:
     return gain
 
 
-def wanted_rates(vehicle: Vehicle, x: np.ndarray, thrusts: np.ndarray, gain: np.ndarray) -> np.ndarray:
-    """Body rates (3,) (rad/s) with which the rate loop gives the torque of these thrusts, (n,) (N)."""
+def wanted_rates(vehicle: Vehicle, x: np.ndarray, thrusts: np.ndarray, gain: np.ndarray, period: float) -> np.ndarray:
+    """Body rates (3,) (rad/s) with which the rate loop gives the torque of these thrusts, (n,) (N), over a period (s).
+
+    gain: K, (3,) (1/s)."""
     J, rate = vehicle.inertia_matrix, x[RATE]
     torque = vehicle.allocation[1:] @ thrusts - np.cross(rate, J @ rate)
-    return rate + np.linalg.solve(J, torque) / gain
+    share = -np.expm1(-gain * period)  # of the way to w* in a period
+    return rate + period * np.linalg.solve(J, torque) / share

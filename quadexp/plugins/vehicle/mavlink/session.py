@@ -194,16 +194,16 @@ class Session:
             if k >= len(loop.times):
                 return "ok", ""
             x[POSITION] -= shift
-            away = x[POSITION] - loop.reference_state(float(loop.times[k]))[POSITION]
-            if not np.linalg.norm(away) <= self.far:
-                return "lost", f"{np.linalg.norm(away):.1f} m from the reference at t={loop.times[k]:.2f} s"
+            away = np.linalg.norm(x[POSITION] - loop.reference_state(float(loop.times[k]))[POSITION])
+            if not away <= self.far:
+                return "lost", f"{away:.1f} m from the reference at t={loop.times[k]:.2f} s"
             try:
                 thrusts = loop.step(Measurement(float(loop.times[k]), x, self._force, None))
             except QuadexpError as failure:
                 return "solver_failed", str(failure)
             if loop.failed:
                 return "solver_failed", f"the control step failed at t={loop.times[k]:.2f} s"
-            rates = loop.rates if self.gain is None else wanted_rates(loop.vehicle, x, thrusts, self.gain)
+            rates = loop.rates if self.gain is None else wanted_rates(loop.vehicle, x, thrusts, self.gain, loop.period)
             assert rates is not None
             self._answer(rates, float(thrusts.sum()), round(1e3 * stamp))
             self.ages.append(time.monotonic() - arrived)
