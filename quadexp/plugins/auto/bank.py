@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from functools import cache
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from quadexp.control.built import built
 from quadexp.control.delivered import SETTLED
 from quadexp.control.instant import Operation, Told, call, copy
 from quadexp.models.residual import Residual
+from quadexp.physics.expression import Expression
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -154,9 +156,9 @@ def stationary_gain(noise: float, walk: float, period: float) -> tuple[float, fl
     return float(K[0]), float(K[1])
 
 
-def first_order_gain(ratio: float) -> float:
+def first_order_gain(ratio: Expression) -> Any:
     """Gain of the stationary filter of a random walk, by the ratio of its walk in a step to the noise of a reading."""
-    variance = ratio**2 / 2 + math.sqrt(ratio**4 / 4 + ratio**2)
+    variance = ratio**2 / 2 + (ratio**4 / 4 + ratio**2) ** 0.5
     return variance / (variance + 1)
 
 
