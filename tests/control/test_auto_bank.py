@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from quadexp.compile.symbolic import ca
 from quadexp.control.delivered import SentCommands
 from quadexp.control.instant import Told, run
 from quadexp.models.residual import no_residual
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.plugins.auto.bank import Bank, first_order_gain, stationary_gain
-from quadexp.plugins.auto.posterior import posterior
-from quadexp.plugins.auto.responses import command_weights, reading_weights
+from quadexp.plugins.auto.posterior import Evidence
+from quadexp.plugins.auto.responses import command_weights, reading_weights, tails
 from quadexp.plugins.auto.settings import BANK
 
 PERIOD = 0.02
@@ -22,6 +23,10 @@ def bank_of(vehicle, **about):
     model = no_residual(vehicle)
     about = {"noise": (0.05, 0.0, 0.0)} | about
     return Bank(vehicle, model, np.zeros(model.function.size1_in(1)), PERIOD, "interpreted", **about)
+
+
+def posterior(bank):
+    return Evidence(bank, "interpreted")()
 
 
 def spin_of(vehicle):
@@ -107,6 +112,27 @@ def test_moments_of_a_flight_that_has_hardly_begun_have_a_posterior(vehicle):
     assert np.isfinite(posterior(bank).mean).all()
 
 
+def weights_of(count, total, lag, span):
+    return np.array(command_weights(PERIOD, count, total, lag, span)).ravel()
+
+
+@pytest.mark.parametrize("span", [0.0, 0.013, PERIOD])
+def test_sums_by_head_and_tail_are_those_of_the_weights(rng, span):
+    """Of all hypotheses at once, against each one's weights on the whole matrix; the oldest weight counts for all
+    before it."""
+    m = 30
+    root, y = rng.normal(size=(m, m)), rng.normal(size=m)
+    totals, lags = np.array([0.0, 0.02, 0.031, 0.12]), np.array([0.0, 0.008, 0.064])
+    M = root @ root.T
+    cross, square = map(np.array, tails(ca.DM(y).T, ca.DM(M), PERIOD, ca.DM(totals), ca.DM(lags), span))
+    for i, total in enumerate(totals):
+        for j, lag in enumerate(lags):
+            h = weights_of(m, total, lag, span)
+            assert h.sum() == pytest.approx(1)
+            assert cross[i, j] == pytest.approx(h @ y, rel=1e-9, abs=1e-9)
+            assert square[i, j] == pytest.approx(h @ M @ h, rel=1e-9)
+
+
 def squares_of(M, h):
     """Sum of squared innovations for weights (m,)."""
     z = np.concatenate([[1, 0], -h, [0]])
@@ -145,10 +171,10 @@ def test_the_moments_are_those_of_a_kalman_filter_of_each_hypothesis(vehicle):
         before = w
         command[:] = vehicle.hover_thrust * (1 + 0.3 * rng.normal(size=n))
         run([*operations, *sent.after(command)], k)
-    m, total, lags = bank.layout.commands, np.array([dead_time + age + lag]), np.array([lag])
-    h = command_weights(PERIOD, m, total, lags, PERIOD)[0]
+    m, total = bank.layout.commands, dead_time + age + lag
+    h = weights_of(m, total, lag, PERIOD)
     assert [squares_of(M, h) for M in bank.moments["gyro"]] == pytest.approx(squares, rel=1e-6)
-    h = command_weights(PERIOD, m, total - age, lags, 0.0)[0]
+    h = weights_of(m, total - age, lag, 0.0)
     assert squares_of(bank.moments["thrust"][0], h) == pytest.approx(thrust_squares, rel=1e-4)
 
 
@@ -198,7 +224,8 @@ def test_a_posterior_is_a_pure_function_of_the_moments(vehicle):
 def test_the_mean_between_readings_is_that_of_a_line(rng, age):
     readings, fine = rng.normal(size=8), np.arange(4000) / 4000
     line = np.interp(-(age + PERIOD * fine), -PERIOD * np.arange(8)[::-1], readings[::-1])
-    assert reading_weights(PERIOD, 8, np.array([age]))[0] @ readings == pytest.approx(line.mean(), abs=2e-3)
+    weights = np.array(reading_weights(PERIOD, 8, ca.DM([age])))[0]
+    assert weights @ readings == pytest.approx(line.mean(), abs=2e-3)
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.8])

@@ -16,15 +16,16 @@ hypotheses, then `fine`, a finer one around a mode, which moves while its mode i
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
+from quadexp.control.built import built
 from quadexp.control.delivered import INSTANT
 from quadexp.physics.expression import dense_function, limited, named_symbols
-from quadexp.plugins.auto.bank import AXES, GYROS, Layout, first_order_gain
+from quadexp.plugins.auto.bank import AXES, GYROS, Bank, Layout, first_order_gain
 from quadexp.plugins.auto.responses import command_weights, reading_weights, tails
 from quadexp.plugins.auto.settings import BANK
 from quadexp.plugins.remedies.observers.filters import inverse
@@ -34,6 +35,62 @@ STEPS = np.array([BANK.age_step, BANK.total_step, BANK.lag_step, BANK.age_step])
 LARGEST = np.array([BANK.largest_age, BANK.largest_dead_time + BANK.largest_lag, BANK.largest_lag, BANK.largest_age])
 NEVER = 1e30  # a log odds, or a sum of squares
 CHOSEN = {"gyro_model": 1, "velocity_model": 1, "rates": 1}  # noise models, and when rates are: see LATE
+
+
+class Posterior(NamedTuple):
+    """Of age, total and lag (s): mean, deviation, lower and upper, the 2.5 and 97.5 % quantiles; upper is infinite
+    where the mode is the last of the grid. age_odds, total_odds: log Bayes factors against none. newer: by how much the
+    told rates are newer than the pose (s)."""
+
+    mean: np.ndarray
+    deviation: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    age_odds: float
+    total_odds: float
+    newer: float
+
+    @property
+    def at_end(self) -> bool:
+        """Whether age or total may be any larger one."""
+        return bool(np.isinf(self.upper[:2]).any())
+
+
+class Evidence:
+    """The posterior of what a bank has seen so far, each time that it is called."""
+
+    def __init__(self, bank: Bank, backend: str) -> None:
+        told = Told(bank.period, bank.spans, bank.turn_noise)
+        shared = {name: moments.reshape(-1, moments.shape[-1]) for name, moments in bank.moments.items()}
+        shared |= {name: bank.part(name) for name in ("weights", "lateral")}
+        self._coarse = BufferedFunction(built(backend, coarse_function, told), shared)
+        self._found = self._coarse.results
+        shared |= {name: self._found[name] for name in ("gyro_model", "velocity_model")}
+        self._fine = BufferedFunction(built(backend, fine_function, told), shared)
+
+    def __call__(self) -> Posterior:
+        self._coarse()
+        found = self._found
+        best = self._refined(found["mode"], found["rates"])
+        if found["rates"] == BETWEEN:  # one more number fits what lies between the points of a coarse grid
+            other = self._refined(found["other"], found["other_rates"])
+            best = other if other["best"] > best["best"] else best
+        mean, deviation, lower, upper = (best[name] for name in ("mean", "deviation", "lower", "upper"))
+        upper[found["at_end"] > 0] = np.inf
+        odds = found["odds"].tolist()
+        return Posterior(mean, deviation, lower, upper, *odds, best["newer"].item())
+
+    def _refined(self, mode: np.ndarray, rates: np.ndarray) -> dict[str, np.ndarray]:
+        """What `fine` leaves around a mode, once its own mode is not on the edge."""
+        given, left = self._fine.arguments, self._fine.results
+        given["centre"][...], given["rates"][...] = mode, rates
+        for _ in range(BANK.passes):
+            self._fine()
+            moved = np.abs(left["mode"] - given["centre"])
+            if (moved < STEPS - INSTANT).all():
+                break
+            given["centre"][...] = left["mode"]
+        return {name: values.copy() for name, values in left.items()}
 
 
 class Told(NamedTuple):

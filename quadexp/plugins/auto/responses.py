@@ -11,11 +11,15 @@ head and a tail, and a sum over the tail follows from that of one weight less.
 
 from __future__ import annotations
 
-import math
+from functools import cache
 from typing import Any
+
+import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.control.delivered import INSTANT
+
+HEAD = 2  # weights; a span is at most a period
 
 
 def step_response(x: Any, lag: Any, span: float) -> Any:
@@ -38,49 +42,54 @@ def command_weights(period: float, count: int, total: Any, lag: Any, span: float
 
 
 def tails(y: Any, M: Any, period: float, total: Any, lag: Any, span: float) -> tuple[Any, Any]:
-    """h' y and h' M h, (k, l), of the weights h of each total (k,) and lag (l,), without these weights: y (1, m),
-    M (m, m)."""
+    """h' y and h' M h, (k, l), of the weights h of each total (k,) and lag (l,): y (1, m), M (m, m)."""
     m, lags, totals = M.size1(), lag.numel(), total.numel()
-    heads = math.ceil(span / period - INSTANT) + 1
     waits = ca.fmax(ca.repmat(total, 1, lags) - ca.repmat(lag.T, totals, 1), 0)
     lag = ca.fmax(lag, INSTANT).T
-    falls = ca.exp(-period / lag)
-    rows = ca.vertcat(y, M)
-    tail, square = ca.repmat(rows[:, m - 1], 1, lags) / ca.repmat(1 - falls, m + 1, 1), M[m - 1, m - 1] / (1 - falls) ** 2
-    of_y, squares, beside = [tail[0, :]], [square], [[] for _ in range(heads)]
-
-    def put_beside(j: int) -> None:
-        for k, of in enumerate(beside):
-            row = j - heads + k
-            of.append(tail[1 + row, :] if row >= 0 else ca.DM.zeros(1, lags))
-
-    put_beside(m - 1)
-    for j in reversed(range(m - 1)):
-        square = M[j, j] + 2 * falls * tail[1 + j, :] + falls**2 * square
-        tail = ca.repmat(rows[: 1 + j, j], 1, lags) + ca.repmat(falls, 1 + j, 1) * tail[: 1 + j, :]
-        of_y.append(tail[0, :])
-        squares.append(square)
-        put_beside(j)
-    of_y, squares, *beside = (ca.vec(ca.vertcat(*reversed(of))) for of in (of_y, squares, *beside))
+    of_y, squares, *beside = ca.vertsplit(tail_function(m, lags)(y, M, ca.exp(-period / lag)))
 
     first = ca.floor(waits / period)
     lag = ca.repmat(lag, totals, 1)
-    responses = [step_response((first + 1 + k) * period - waits, lag, span) for k in range(heads + 1)]
+    responses = [step_response((first + 1 + k) * period - waits, lag, span) for k in range(HEAD + 1)]
     h = [responses[0], *(after - before for before, after in zip(responses, responses[1:], strict=False))]
     first = ca.vec(first)
-    behind = first + heads + m * ca.DM([i for i in range(lags) for _ in range(totals)])
+    behind = ca.DM(np.repeat(range(lags), totals)) + lags * (m - 1 - first - HEAD)
 
     def taken(table: Any, at: Any) -> Any:
         return ca.reshape(table[at], totals, lags)
 
-    c = h[heads]
+    c = h[HEAD]
     cross, whole = c * taken(of_y, behind), c**2 * taken(squares, behind)
-    for k in range(heads):
+    for k in range(HEAD):
         cross = cross + h[k] * taken(y.T, first + k)
         whole = whole + 2 * c * h[k] * taken(beside[k], behind)
-        for i in range(heads):
+        for i in range(HEAD):
             whole = whole + h[k] * h[i] * taken(ca.vec(M), first + k + m * (first + i))
     return cross, whole
+
+
+@cache
+def tail_function(m: int, lags: int) -> ca.Function:
+    """Sums with the tail g that begins at each j, g_i = falls^(i - j), and counts for all behind the last: g' y, g' M g,
+    and (M g)_i for the HEAD weights i before j, (2 + HEAD, l m), lags within j, from the last j to the first."""
+    y, M, falls = ca.MX.sym("y", 1, m), ca.MX.sym("M", m, m), ca.MX.sym("falls", 1, lags)
+    # a column for each j: y_j, then M_ij for i = j, j - 1, ..
+    before = [[j - d + m * j if d <= j else 0 for j in range(m)] for d in range(m)]
+    columns = ca.vertcat(y, *(M[row].T for row in before))
+    state, column = ca.MX.sym("state", m + 2, lags), ca.MX.sym("column", m + 1)
+    square = column[1] + 2 * falls * state[3, :] + falls**2 * state[1, :]
+    shifted = ca.vertcat(state[0, :], state[3:, :], ca.DM.zeros(1, lags))
+    sums = ca.repmat(column, 1, lags) + ca.repmat(falls, m + 1, 1) * shifted
+    after = ca.vertcat(sums[0, :], square, sums[1:, :])
+    step = ca.Function("tail_step", [state, column, falls], [after])
+    last = ca.repmat(columns[:, m - 1], 1, lags) / ca.repmat(1 - falls, m + 1, 1)
+    now = ca.vertcat(last[0, :], columns[1, m - 1] / (1 - falls) ** 2, last[1:, :])
+    rows = [0, 1, *(2 + HEAD - k for k in range(HEAD))]
+    found = [now[rows, :]]
+    for j in reversed(range(m - 1)):
+        now = step(now, columns[:, j], falls)
+        found.append(now[rows, :])
+    return ca.Function("tails", [y, M, falls], [ca.horzcat(*found)])
 
 
 def reading_weights(period: float, count: int, age: Any) -> Any:
