@@ -84,6 +84,7 @@ def flown(
                 told.force[:] = force[now] + 0.05 * rng.normal(size=3)
         command[:] = commands[k]
         run(operations, k)
+        bank.memory.commit()
     return bank
 
 
@@ -98,6 +99,7 @@ def test_commands_that_do_not_change_say_nothing_of_their_delays(vehicle):
         told.state[VELOCITY], told.state[RATE] = 1e-3 * rng.normal(size=3), 5e-3 * rng.normal(size=3)
         told.force[:] = [0.0, 0.0, vehicle.gravity] + 0.05 * rng.normal(size=3)
         run(operations, k)
+        bank.memory.commit()
     for moments in bank.moments.values():
         moments[:, 2:, 2:] = moments[:, :2, 2:] = moments[:, 2:, :2] = 0.0  # exactly
     with np.errstate(invalid="raise", divide="raise"):
@@ -171,6 +173,8 @@ def test_the_moments_are_those_of_a_kalman_filter_of_each_hypothesis(vehicle):
         before = w
         command[:] = vehicle.hover_thrust * (1 + 0.3 * rng.normal(size=n))
         run([*operations, *sent.after(command)], k)
+        bank.memory.commit()
+        sent.memory.commit()
     m, total = bank.layout.commands, dead_time + age + lag
     h = weights_of(m, total, lag, PERIOD)
     assert [squares_of(M, h) for M in bank.moments["gyro"]] == pytest.approx(squares, rel=1e-6)
@@ -213,9 +217,8 @@ def test_a_posterior_is_a_pure_function_of_the_moments(vehicle):
     bank, other = flown(vehicle, **known), flown(vehicle, steps=100)
     first = posterior(bank)
     posterior(other)
-    other.memory[...] = bank.memory
-    for name, moments in bank.moments.items():
-        other.moments[name][...] = moments
+    other.memory.restore(bank.memory.now)
+    other.sums.restore(bank.sums.now)
     for again in (posterior(bank), posterior(other)):
         assert all(np.array_equal(one, two) for one, two in zip(first, again, strict=True))
 
@@ -260,6 +263,7 @@ def test_attitudes_tell_their_age_against_rates(vehicle, age, of_rates):
         told.state[ATTITUDE] = attitude.as_quat(scalar_first=True)
         told.state[RATE] = turns[max(now - round(of_rates / fine), 0)] + bias + noise[0] * rng.normal(size=3)
         run(operations, k)
+        bank.memory.commit()
     found = posterior(bank)
     newer = age - of_rates
     assert found.newer == pytest.approx(newer, abs=0.002) and found.mean[0] > newer - 0.003

@@ -158,6 +158,7 @@ class Auto(WrappedController):
         after = [*self._bank.after(told, state, inner.command), *self._commands.after(inner.command)]
         logged = (*inner.logged, belief, self._beliefs, self._filter.acts, self._filter.deviations)
         memory = (*inner.memory, self._strapdown.memory, self._filter.memory, self._commands.memory)
+        memory = (*memory, self._bank.memory, self._bank.sums)
         return inner._replace(operations=[*operations, *inner.operations, *after], logged=logged, memory=memory)
 
     @property
