@@ -43,8 +43,8 @@ GYROS, AXES = len(BANK.gyro_models), 3
 
 
 class Layout:
-    """What a bank remembers. period: s. commands, readings: how many count. columns: of a reading's filter, y, phi of each
-    reading and of each axis of its bias. sizes: of its memory, by name."""
+    """What a bank remembers. period: s. commands, readings: how many count. columns: of a reading's filter, y, phi of
+    each reading and of each axis of its bias. sizes: of its memory, by name."""
 
     def __init__(self, period: float) -> None:
         reach = BANK.largest_age + BANK.largest_dead_time + SETTLED * BANK.largest_lag + period
@@ -65,8 +65,8 @@ class Bank:
 
     theta: parameters of the residual, shared. noise: stated, of a reading of accelerometer (m/s^2), gyroscope (rad/s)
     and attitude (rad). spans: over which readings of accelerometer and gyroscope are means (s).
-    period: of the bank (s), `every` control periods. moments: of gyro, thrust, velocity, attitude, (models, c, c), which
-    are the `sums`. memory: all else that is remembered.
+    period: of the bank (s), `every` control periods. moments: of gyro, thrust, velocity, attitude, (models, c, c),
+    which are the `sums`. memory: all else that is remembered.
     """
 
     def __init__(

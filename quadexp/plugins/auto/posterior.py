@@ -10,8 +10,8 @@ SSE: sum of n squared innovations of the hypothesis, its variance profiled out, 
 the torque) with a normal prior, and the bias of the sensor (ridge regression). kappa: what an innovation is
 worth, at most one half: (1 - rho) / (1 + rho) where successive ones are correlated by rho (Bayley & Hammersley 1946).
 Where readings are weighted, SSE is divided by what their noise adds to it, since a mean of several is less noisy than
-one (bias compensation, Soderstrom 2007). The likeliest noise model counts. The grid is fixed: `coarse` over all
-hypotheses, then `fine`, a finer one around a mode, which moves while its mode is on its edge.
+one (bias compensation, Soderstrom 2007). The likeliest noise model counts. The grid is fixed: coarse over all
+hypotheses, then a finer one around a mode, which moves while its mode is on its edge.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
 from quadexp.control.built import built
 from quadexp.control.delivered import INSTANT
-from quadexp.physics.expression import dense_function, limited, named_symbols
+from quadexp.physics.expression import dense_function, limited, named_function, named_symbols
 from quadexp.plugins.auto.bank import AXES, GYROS, Bank, Layout, first_order_gain
 from quadexp.plugins.auto.responses import command_weights, reading_weights, tails
 from quadexp.plugins.auto.settings import BANK
@@ -34,7 +34,14 @@ LATE, PROMPT, BETWEEN = range(3)
 STEPS = np.array([BANK.age_step, BANK.total_step, BANK.lag_step, BANK.age_step])  # of a, D, l, r (s)
 LARGEST = np.array([BANK.largest_age, BANK.largest_dead_time + BANK.largest_lag, BANK.largest_lag, BANK.largest_age])
 NEVER = 1e30  # a log odds, or a sum of squares
-CHOSEN = {"gyro_model": 1, "velocity_model": 1, "rates": 1}  # noise models, and when rates are: see LATE
+
+
+class Told(NamedTuple):
+    """What a posterior knows beside the bank's moments. period: of the bank (s). spans, turn_noise: see Bank."""
+
+    period: float
+    spans: tuple[float, float]
+    turn_noise: tuple[float, float]
 
 
 class Posterior(NamedTuple):
@@ -61,228 +68,183 @@ class Evidence:
 
     def __init__(self, bank: Bank, backend: str) -> None:
         told = Told(bank.period, bank.spans, bank.turn_noise)
-        shared = {name: moments.reshape(-1, moments.shape[-1]) for name, moments in bank.moments.items()}
-        shared |= {name: bank.part(name) for name in ("weights", "lateral")}
-        self._coarse = BufferedFunction(built(backend, coarse_function, told), shared)
-        self._found = self._coarse.results
-        shared |= {name: self._found[name] for name in ("gyro_model", "velocity_model")}
-        self._fine = BufferedFunction(built(backend, fine_function, told), shared)
+        self._moments, known = bank.moments, {name: bank.part(name) for name in ("weights", "lateral")}
+        beside = {name: side_by_side(bank.moments[name]) for name in ("thrust", "attitude")}
+        models = {name: side_by_side(bank.moments[name]) for name in ("gyro", "velocity")}
+        self._coarse = BufferedFunction(built(backend, grid_function, told, 1), known | beside | models)
+        self._fine = BufferedFunction(built(backend, grid_function, told, BANK.fine), known | beside)
+        self._coarse.arguments["noise"][...] = BANK.velocity_models
 
     def __call__(self) -> Posterior:
+        given, found = self._coarse.arguments, self._coarse.results
+        given["against"][...] = BANK.rates_odds
         self._coarse()
-        found = self._found
-        best = self._refined(found["mode"], found["rates"])
+        at_end, odds = found["at_end"] > 0, found["odds"].tolist()
+        best = self._refined()
         if found["rates"] == BETWEEN:  # one more number fits what lies between the points of a coarse grid
-            other = self._refined(found["other"], found["other_rates"])
+            given["against"][BETWEEN] = NEVER
+            self._coarse()
+            other = self._refined()
             best = other if other["best"] > best["best"] else best
         mean, deviation, lower, upper = (best[name] for name in ("mean", "deviation", "lower", "upper"))
-        upper[found["at_end"] > 0] = np.inf
-        odds = found["odds"].tolist()
+        upper[at_end] = np.inf
         return Posterior(mean, deviation, lower, upper, *odds, best["newer"].item())
 
-    def _refined(self, mode: np.ndarray, rates: np.ndarray) -> dict[str, np.ndarray]:
-        """What `fine` leaves around a mode, once its own mode is not on the edge."""
-        given, left = self._fine.arguments, self._fine.results
-        given["centre"][...], given["rates"][...] = mode, rates
+    def _refined(self) -> dict[str, np.ndarray]:
+        """What the finer grid leaves around the mode of the coarse one, once its own mode is not on its edge."""
+        given, left, found = self._fine.arguments, self._fine.results, self._coarse.results
+        gyro, velocity, rates = (int(found[name].item()) for name in ("gyro_model", "velocity_model", "rates"))
+        given["gyro"][...], given["velocity"][...] = self._moments["gyro"][gyro], self._moments["velocity"][velocity]
+        given["noise"][...], given["against"][...] = BANK.velocity_models[velocity], NEVER
+        given["against"][rates] = BANK.rates_odds[rates]
+        left["mode"][...] = found["mode"]
         for _ in range(BANK.passes):
-            self._fine()
-            moved = np.abs(left["mode"] - given["centre"])
-            if (moved < STEPS - INSTANT).all():
-                break
             given["centre"][...] = left["mode"]
+            self._fine()
+            if (np.abs(left["mode"] - given["centre"]) < STEPS - INSTANT).all():
+                break
         return {name: values.copy() for name, values in left.items()}
 
 
-class Told(NamedTuple):
-    """What a posterior knows beside the bank's moments. period: of the bank (s). spans: see Bank. turn_noise: likewise."""
-
-    period: float
-    spans: tuple[float, float]
-    turn_noise: tuple[float, float]
+def side_by_side(moments: np.ndarray) -> np.ndarray:
+    """Of all models, as a function reads them."""
+    return moments.reshape(-1, moments.shape[-1])
 
 
-class Axis(NamedTuple):
-    """A grid of one quantity. values, inside: (k,), whether they count. low, high, step: (s)."""
-
-    values: Any
-    inside: Any
-    low: Any
-    high: Any
-    step: float
+def rates_of(age: Any, newer: Any) -> Any:
+    """LATE, PROMPT or BETWEEN, by how much rates are newer (s)."""
+    between = ca.if_else(ca.fabs(age - newer) < INSTANT, PROMPT, BETWEEN)
+    return ca.if_else(newer < INSTANT, LATE, between)
 
 
-def axis(low: Any, high: Any, step: float, size: int) -> Axis:
-    """From low to high, of at most so many values; what is beyond them does not count."""
-    values = low + step * ca.DM(range(size))
-    return Axis(values, values < high + INSTANT, low, high, step)
+def grid_function(told: Told, fine: int) -> ca.Function:
+    """Posterior on a grid, all hypotheses for fine = 1, or of steps a `fine`-th as large within one step of `centre`,
+    (a, D, l, r).
 
-
-def moments_of(layout: Layout) -> dict[str, tuple[int, int]]:
-    """Shapes of the moments, models side by side."""
+    against: log odds against rates LATE, PROMPT, BETWEEN. Leaves the mode, its log posterior and its rates; which noise
+    models count; log Bayes factors against no age and no total; whether the mode is the last that there is (a, D, l);
+    mean, deviation, 2.5 and 97.5 % quantiles of a, D, l, and by how much rates are newer than the pose (s).
+    """
+    layout, steps, whole = Layout(told.period), STEPS / fine, fine == 1
+    sizes = [round(of) + 1 for of in (LARGEST if whole else 2 * STEPS) / steps]
+    n_a, n_D, n_l, n_r = sizes
+    models = {"gyro": GYROS, "velocity": len(BANK.velocity_models)} if whole else {"gyro": 1, "velocity": 1}
     commands, both = layout.commands + 3, 2 * layout.columns
-    models = {"gyro": (commands, GYROS), "thrust": (commands, 1)}
-    models |= {"velocity": (both, len(BANK.velocity_models)), "attitude": (both, 1)}
-    return {name: (size, count * size) for name, (size, count) in models.items()}
+    shapes = {"gyro": (commands, models["gyro"] * commands), "thrust": (commands, commands), "attitude": (both, both)}
+    shapes |= {"velocity": (both, models["velocity"] * both), "noise": models["velocity"], "against": 3, "centre": 4}
+    a = named_symbols(ca.MX, shapes | {"weights": 3, "lateral": 1})
+    reach = LARGEST if whole else STEPS
+    low, high = ca.fmax(a["centre"] - reach, 0), ca.fmin(a["centre"] + reach, LARGEST)
+    grids = [low[i] + steps[i] * ca.DM(range(size)) for i, size in enumerate(sizes)]
+    inside = [grid < high[i] + INSTANT for i, grid in enumerate(grids)]
+    ages, totals, lags, newer = grids
 
+    # thrusts, of total and lag
+    total, lag = ca.repmat(totals, 1, n_l), ca.repmat(lags.T, n_D, 1)
+    dead_time = total - lag
+    possible = ca.mtimes(inside[1], inside[2].T) * (dead_time > -INSTANT)
+    possible = possible * (dead_time < BANK.largest_dead_time + INSTANT)
+    by_thrust = commands_function("thrust", told, layout, n_D, n_l)
+    thrust = by_thrust(a["thrust"], totals, lags, possible, a["weights"][0])
+    ways = ca.fmin(total, BANK.largest_lag) - ca.fmax(total - BANK.largest_dead_time, 0)
+    prior = -total / BANK.mean_delay - ca.log(ca.fmax(ways, 0) + BANK.lag_step)
+    of_total = ca.if_else(possible, thrust + prior, -NEVER)
 
-def coarse_function(told: Told) -> ca.Function:
-    """Over all hypotheses: the mode (a, D, l, r), the choice, log Bayes factors against no age and no total, whether the
-    mode is the last one (a, D, l), and mode and choice of rates of the likeliest that is not BETWEEN."""
-    layout = Layout(told.period)
-    a = named_symbols(ca.MX, moments_of(layout) | {"weights": 3, "lateral": 1})
-    axes = [axis(0.0, *of, round(of[0] / of[1]) + 1) for of in zip(LARGEST, STEPS, strict=True)]
-    joint = Joint(told, layout, a, axes, None)
-    best, mode = joint.mode(joint.of_ages)
-    without_age, without_total = ca.mmax(joint.of_ages[0, :]), ca.mmax(joint.without_total)
-    rates = joint.of(joint.rates, mode)
-    _, other = joint.mode(ca.if_else(joint.rates == BETWEEN, -NEVER, joint.of_ages))
+    # gyroscope, of lag and the total beside what rates are old by, a - r
+    n_old = n_a if whole else n_a + n_r - 1
+    first = ca.fmax(low[0] - high[3], 0)
+    times = first + low[1] + steps[0] * ca.DM(range(n_old + n_D - 1))
+    told_of = times < ca.fmax(high[0] - low[3], 0) + high[1] + INSTANT
+    told_of = ca.mtimes(told_of, inside[2].T)
+    by_gyro = commands_function("gyro", told, layout, n_old + n_D - 1, n_l)
+    each = ca.horzsplit(a["gyro"], commands)
+    gyro_model, of_gyro = _likeliest([by_gyro(M, times, lags, told_of, a["weights"][0]) for M in each])
+    by_old = [of_total + of_gyro[i : i + n_D, :] for i in range(n_old)]
+
+    # velocities and attitudes, of age and of what rates are newer by
+    reading = told.period * ca.sqrt(a["lateral"])
+    by_velocity, by_attitude = (readings_function(*of) for of in (("velocity", told, n_a), ("attitude", told, n_r)))
+    each = zip(ca.horzsplit(a["velocity"], both), ca.vertsplit(a["noise"]), strict=True)
+    by_model = [by_velocity(M, ages, inside[0], a["weights"][1], reading, noise) for M, noise in each]
+    velocity_model, of_age = _likeliest(by_model)
+    of_age = of_age - ages / BANK.mean_delay
+    of_newer = by_attitude(a["attitude"], newer, inside[3], a["weights"][2], *told.turn_noise)
+    age, by = ca.repmat(ages, 1, n_r), ca.repmat(newer.T, n_a, 1)
+    rates = ca.MX(rates_of(age, by))
+    counts = ca.mtimes(inside[0], inside[3].T) * (age - by > -INSTANT)
+    # less is how rates go between readings
+    counts = counts * ca.logic_or(rates != BETWEEN, by > BANK.age_step - INSTANT)
+    odds = _taken(a["against"], rates)
+    alone = ca.repmat(of_age, 1, n_r) + ca.repmat(of_newer.T, n_a, 1) - odds
+    old = ca.MX(limited(ca.floor((ca.fmax(age - by, 0) - first) / steps[0] + 0.5), 0, n_old - 1))
+    log = ca.if_else(counts, alone + _taken(ca.vertcat(*map(ca.mmax, by_old)), old), -NEVER)
+    without_total = alone + _taken(ca.vertcat(*(ca.mmax(one[0, :]) for one in by_old)), old)
+    without_total = ca.if_else(counts, without_total, -NEVER)
+
+    best, at = _largest(log)
+    at_old = ca.vec(old)[at]
+    stacked = ca.horzcat(*map(ca.vec, by_old))
+    _, at_total = _largest(stacked[ca.DM(range(n_D * n_l)) + n_D * n_l * at_old])
+    row, row_of_total = ca.fmod(at, n_a), ca.fmod(at_total, n_D)
+    place = ca.vertcat(row, row_of_total, (at_total - row_of_total) / n_D, (at - row) / n_a)
+    mode = low + steps * place
     results = {
-        "mode": mode, "gyro_model": joint.gyro, "velocity_model": joint.velocity, "rates": rates,
-        "odds": ca.vertcat(best - without_age, best - without_total), "at_end": mode[:3] > LARGEST[:3] - INSTANT,
-        "other": other, "other_rates": joint.of(joint.rates, other),
+        "mode": mode, "best": best, "rates": rates_of(mode[0], mode[3]),
+        "gyro_model": gyro_model, "velocity_model": velocity_model,
+        "odds": ca.vertcat(best - ca.mmax(log[0, :]), best - ca.mmax(without_total)),
+        "at_end": mode[:3] > LARGEST[:3] - INSTANT,
     }  # fmt: skip
-    return dense_function("coarse", a, results)
+    if whole:
+        return named_function("coarse", a, {name: ca.densify(value) for name, value in results.items()})
+
+    likely, share_of_age, share = ca.exp(log - best), 0, 0
+    for i, one in enumerate(by_old):
+        here = likely * (old == i)
+        by_total = ca.exp(one - ca.mmax(one))
+        share_of_age = share_of_age + ca.sum2(here) * ca.sum1(ca.sum2(by_total))
+        share = share + ca.sum1(ca.sum2(here)) * by_total
+    beside = STEPS[[0, 2, 2]] / fine  # a total goes along with a lag that is between points of the grid
+    shares = share_of_age, ca.sum2(share), ca.sum1(share).T
+    spread = [_summary(*of) for of in zip(shares, grids[:3], steps[:3], beside, strict=True)]
+    for name, values in zip(("mean", "deviation", "lower", "upper"), zip(*spread, strict=True), strict=True):
+        results[name] = ca.vertcat(*values)
+    results["newer"] = ca.if_else(results["rates"] == PROMPT, results["mean"][0], mode[3])
+    return named_function("fine", a, {name: ca.densify(value) for name, value in results.items()})
 
 
-def fine_function(told: Told) -> ca.Function:
-    """On the finer grid around a centre (a, D, l, r) for a choice: its mode and log posterior, then mean, deviation and
-    the 2.5 and 97.5 % quantiles of a, D, l, and by how much rates are newer than the pose (s)."""
-    layout, fine = Layout(told.period), STEPS / BANK.fine
-    a = named_symbols(ca.MX, moments_of(layout) | {"weights": 3, "lateral": 1, "centre": 4} | CHOSEN)
-    axes = []
-    for i in range(4):
-        low, high = a["centre"][i] - STEPS[i], a["centre"][i] + STEPS[i]
-        low = ca.if_else(low < -INSTANT, a["centre"][i] - fine[i] * ca.floor(a["centre"][i] / fine[i] + INSTANT), low)
-        axes.append(axis(low, ca.fmin(high, LARGEST[i]), float(fine[i]), 2 * BANK.fine + 1))
-    joint = Joint(told, layout, a, axes, a)
-    best, mode = joint.mode(joint.of_ages)
-    beside = STEPS[[0, 2, 2]] / BANK.fine  # a total goes along with a lag that is between points of the grid
-    of_axes = zip(joint.marginals(best), axes[:3], beside, strict=True)
-    mean, deviation, lower, upper = zip(*(_summary(*of) for of in of_axes), strict=True)
-    newer = ca.if_else(a["rates"] == PROMPT, mean[0], mode[3])
-    spread = {"mean": mean, "deviation": deviation, "lower": lower, "upper": upper}
-    results = {"mode": mode, "best": best, **{name: ca.vertcat(*of) for name, of in spread.items()}, "newer": newer}
-    return dense_function("fine", a, results)
+def _taken(table: Any, at: Any) -> Any:
+    """The elements at these places, as an array like them."""
+    return ca.reshape(table[ca.vec(at)], *at.shape)
 
 
-def _summary(share: Any, of: Axis, beside: float) -> tuple[Any, ...]:
-    """Mean, deviation and quantiles of an axis; a point of the grid stands for a step around it, and may be off by half
-    of `beside` (s)."""
+def _largest(values: Any) -> tuple[Any, Any]:
+    """The largest value, and the first place where it is."""
+    most = ca.mmax(values)
+    return most, ca.find(ca.vec(values) >= most)
+
+
+def _likeliest(found: list[Any]) -> tuple[Any, Any]:
+    """Of the log likelihoods by several noise models those that have the largest, and which model it is."""
+    best, which = found[0], ca.MX(0)
+    for i, other in enumerate(found[1:], 1):
+        better = ca.mmax(other) > ca.mmax(best)
+        best, which = ca.if_else(better, other, best), ca.if_else(better, i, which)
+    return which, best
+
+
+def _summary(share: Any, grid: Any, step: float, beside: float) -> tuple[Any, ...]:
+    """Mean, deviation and quantiles; a point of the grid stands for a step around it, and may be off by half of
+    `beside` (s)."""
     share = share / ca.sum1(share)
-    mean = ca.dot(share, of.values)
-    deviation = ca.sqrt(ca.dot(share, (of.values - mean) ** 2) + of.step**2 / 12)
-    below = ca.cumsum(share) - share
-    lower, upper = (
-        of.low - of.step / 2 + of.step * ca.sum1(limited((p - below) / ca.fmax(share, 1 / NEVER), 0, 1))
-        for p in (0.025, 0.975)
-    )
-    return mean, deviation, ca.fmax(lower - beside / 2, 0), upper + beside / 2
+    mean = ca.dot(share, grid)
+    deviation = ca.sqrt(ca.dot(share, (grid - mean) ** 2) + step**2 / 12)
+    below, begins = ca.cumsum(share) - share, grid[0] - step / 2
 
+    def quantile(p: float) -> Any:
+        passed = limited((p - below) / ca.fmax(share, 1 / NEVER), 0, 1)
+        return begins + step * ca.sum1(passed)
 
-class Joint:
-    """Log posterior, but for a constant, on a grid. of_ages: its maximum over totals and lags, (a, r); without_total: the
-    same of a total of 0. rates: when they are, (a, r). gyro, velocity: noise models that count."""
-
-    def __init__(self, told: Told, layout: Layout, a: dict[str, Any], axes: list[Axis], choice: dict[str, Any] | None):
-        ages, totals, lags, newer = self.axes = axes
-        self.spread = [one.values.numel() for one in axes]
-        n_a, n_D, n_l, n_r = self.spread
-        step = ages.step
-        # thrust: of total and lag
-        D, l = ca.repmat(totals.values, 1, n_l), ca.repmat(lags.values.T, n_D, 1)
-        possible = ca.mtimes(totals.inside, lags.inside.T) * (D - l > -INSTANT)
-        possible = possible * (D - l < BANK.largest_dead_time + INSTANT)
-        thrust = commands_function("thrust", told, layout, n_D, n_l)(a["thrust"], totals.values, lags.values, possible, a["weights"][0])
-        ways = ca.fmin(D, BANK.largest_lag) - ca.fmax(D - BANK.largest_dead_time, 0)
-        prior = -D / BANK.mean_delay - ca.log(ca.fmax(ways, 0) + BANK.lag_step)
-        self._of_total = ca.if_else(possible, thrust + prior, -NEVER)
-
-        # gyroscope: of a - r + D and lag
-        least = ca.fmax(ages.low - newer.high, 0)
-        most = ca.fmax(ages.high - newer.low, 0)
-        self.apart = n_a if choice is None else n_a + n_r - 1
-        times = axis(least + totals.low, most + totals.high, step, self.apart + n_D - 1)
-        by_gyro = commands_function("gyro", told, layout, times.values.numel(), n_l)
-        inside = ca.mtimes(times.inside, lags.inside.T)
-        models = ca.horzsplit(a["gyro"], layout.commands + 3)
-        self.gyro, of_gyro = _likeliest(models, lambda M, _: by_gyro(M, times.values, lags.values, inside, a["weights"][0]), choice and choice["gyro_model"])
-        self._by_apart = [self._of_total + of_gyro[i : i + n_D, :] for i in range(self.apart)]
-        highest = ca.vertcat(*map(ca.mmax, self._by_apart))
-        # velocity and attitude: of age, and of what is newer
-        A, r = ca.repmat(ages.values, 1, n_r), ca.repmat(newer.values.T, n_a, 1)
-        reading = told.period * ca.sqrt(a["lateral"])
-        models = ca.horzsplit(a["velocity"], 2 * layout.columns)
-        by_velocity = readings_function("velocity", told, layout, n_a)
-        self.velocity, of_velocity = _likeliest(models, lambda M, noise: by_velocity(M, ages.values, ages.inside, a["weights"][1], reading, noise), choice and choice["velocity_model"], BANK.velocity_models)
-        by_attitude = readings_function("attitude", told, layout, n_r)
-        attitude = by_attitude(a["attitude"], newer.values, newer.inside, a["weights"][2], *told.turn_noise)
-        self.rates = ca.MX(ca.if_else(r < INSTANT, LATE, ca.if_else(ca.fabs(A - r) < INSTANT, PROMPT, BETWEEN)))
-        wanted = ca.mtimes(ages.inside, newer.inside.T) * (A - r > -INSTANT)
-        if choice is not None:
-            wanted = wanted * (self.rates == choice["rates"])
-        # less is how rates go between readings
-        wanted = wanted * ca.logic_or(self.rates != BETWEEN, r > BANK.age_step - INSTANT)
-        late_odds, prompt_odds, between_odds = BANK.rates_odds
-        odds = ca.if_else(self.rates == LATE, late_odds, ca.if_else(self.rates == PROMPT, prompt_odds, between_odds))
-        of_age = of_velocity - ages.values / BANK.mean_delay
-        alone = ca.repmat(of_age, 1, n_r) + ca.repmat(attitude.T, n_a, 1) - odds
-        self._at = ca.floor((ca.fmax(A - r, 0) - least) / step + 0.5)
-        self._at = ca.MX(limited(self._at, 0, self.apart - 1))
-        self.of_ages = ca.if_else(wanted, alone + self._taken(highest), -NEVER)
-        first = ca.vertcat(*(ca.mmax(one[0, :]) for one in self._by_apart))
-        self.without_total = ca.if_else(wanted, alone + self._taken(first), -NEVER)
-
-    def _taken(self, by_apart: Any) -> Any:
-        """Of how much a is more than r, (a, r)."""
-        return ca.reshape(by_apart[ca.vec(self._at)], *self._at.shape)
-
-    def of(self, values: Any, mode: Any) -> Any:
-        """The value, of (a, r), at a mode."""
-        ages, _, _, newer = self.axes
-        row, column = (mode[i] - one.low for i, one in ((0, ages), (3, newer)))
-        return values[ca.floor(row / ages.step + 0.5) + self.spread[0] * ca.floor(column / newer.step + 0.5)]
-
-    def mode(self, of_ages: Any) -> tuple[Any, Any]:
-        """The largest value of an array like of_ages, and where it is, (a, D, l, r)."""
-        ages, totals, lags, newer = self.axes
-        best = ca.mmax(of_ages)
-        at = ca.find(ca.vec(of_ages) >= best)
-        row = ca.fmod(at, self.spread[0])
-        column = (at - row) / self.spread[0]
-        apart = ca.vec(self._at)[at]
-        stacked = ca.horzcat(*map(ca.vec, self._by_apart))
-        chosen = stacked[ca.DM(range(stacked.size1())) + stacked.size1() * apart]
-        at = ca.find(chosen >= ca.mmax(chosen))
-        of_total = ca.fmod(at, self.spread[1])
-        of_lag = (at - of_total) / self.spread[1]
-        return best, ca.vertcat(*(one.low + one.step * i for one, i in ((ages, row), (totals, of_total), (lags, of_lag), (newer, column))))
-
-    def marginals(self, best: Any) -> tuple[Any, Any, Any]:
-        """Of ages, totals and lags, but for a factor."""
-        likely = ca.exp(self.of_ages - best)
-        of_age, of_both = 0, 0
-        for i, one in enumerate(self._by_apart):
-            here = likely * (self._at == i)
-            each = ca.exp(one - ca.mmax(one))
-            of_age = of_age + ca.sum2(here) * ca.sum1(ca.sum2(each))
-            of_both = of_both + ca.sum1(ca.sum2(here)) * each
-        return of_age, ca.sum2(of_both), ca.sum1(of_both).T
-
-
-def _likeliest(models: list[Any], likelihood: Any, chosen: Any, noises: Any = None) -> tuple[Any, Any]:
-    """Of filters with several noise models: which counts, the chosen or else the likeliest, and its log likelihoods."""
-    noises = noises or [0.0] * len(models)
-    if chosen is not None:
-        M, noise = models[0], noises[0]
-        for i in range(1, len(models)):
-            M, noise = ca.if_else(chosen == i, models[i], M), ca.if_else(chosen == i, noises[i], noise)
-        return chosen, likelihood(M, noise)
-    best, at = likelihood(models[0], noises[0]), 0
-    for i in range(1, len(models)):
-        found = likelihood(models[i], noises[i])
-        better = ca.mmax(found) > ca.mmax(best)
-        best, at = ca.if_else(better, found, best), ca.if_else(better, i, at)
-    return at, best
+    return mean, deviation, ca.fmax(quantile(0.025) - beside / 2, 0), quantile(0.975) + beside / 2
 
 
 def commands_function(name: str, told: Told, layout: Layout, totals: int, lags: int) -> ca.Function:
@@ -299,8 +261,7 @@ def commands_function(name: str, told: Told, layout: Layout, totals: int, lags: 
     ridge = ca.fmax(least, 0) / n / deviation**2 + BANK.floor
     scale = (cross + ridge) / (square + ridge)
     sse = ca.fmax(M[0, 0] - 2 * scale * cross + scale**2 * square, 0)
-    counted = ca.vec(ca.if_else(possible, sse, NEVER))
-    best = ca.find(counted <= ca.mmin(counted))
+    _, best = _largest(-ca.if_else(possible, sse, NEVER))
     row = ca.fmod(best, totals)
     h = ca.vec(scale)[best] * command_weights(T, m, total[row], lag[(best - row) / totals], span)
     now, before = ca.vertcat(1, 0, -h, 0), ca.vertcat(0, 1, 0, -h)
@@ -309,10 +270,11 @@ def commands_function(name: str, told: Told, layout: Layout, totals: int, lags: 
     return dense_function(name, a, {"log": -kappa * n / 2 * ca.log(sse / n + BANK.floor)})
 
 
-def readings_function(name: str, told: Told, layout: Layout, ages: int) -> ca.Function:
+def readings_function(name: str, told: Told, ages: int) -> ca.Function:
     """Log likelihood of ages (a,), by a filter that integrates readings. reading: deviation of what a reading adds in a
     period. noise: of the state that it is compared with."""
-    c, r, velocity = layout.columns, layout.readings, name == "velocity"
+    layout, velocity = Layout(told.period), name == "velocity"
+    c, r = layout.columns, layout.readings
     shapes = {"M": (2 * c, 2 * c), "age": ages, "inside": ages, "count": 1, "reading": 1, "noise": 1}
     M, age, inside, count, reading, noise = (a := named_symbols(ca.MX, shapes)).values()
     n, prior = (2, BANK.bias_deviation) if velocity else (AXES, BANK.rate_bias_deviation)
@@ -332,8 +294,7 @@ def readings_function(name: str, told: Told, layout: Layout, ages: int) -> ca.Fu
     added = reading**2 * ca.sum2(ca.mtimes(weights, kept) * weights) / (1 - (1 - gain) ** 2)
     added = added + 2 * noise**2 / (2 - gain)
     sse = sse * added[0] / added
-    counted = ca.if_else(inside, sse, NEVER)
-    best = ca.find(counted <= ca.mmin(counted))
+    _, best = _largest(-ca.if_else(inside, sse, NEVER))
     whole = ca.horzcat(h, -estimate)[best + ages * ca.DM(range(c))]
     kappa = _information(ca.mtimes([whole.T, products, whole]), ca.mtimes([whole.T, square, whole]))
     return dense_function(name, a, {"log": -kappa * n / 2 * ca.log(sse / n + BANK.floor)})
