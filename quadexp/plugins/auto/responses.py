@@ -71,7 +71,7 @@ def tails(y: Any, M: Any, period: float, total: Any, lag: Any, span: float) -> t
 @cache
 def tail_function(m: int, lags: int) -> ca.Function:
     """Sums with the tail g that begins at each j, g_i = falls^(i - j), and counts for all behind the last: g' y,
-    g' M g, and (M g)_i for the HEAD weights i before j, (2 + HEAD, l m), lags within j, from the last j to the first."""
+    g' M g, and (M g)_i for the HEAD weights i before j, (2 + HEAD, l m), lags within j, the last j first."""
     y, M, falls = ca.MX.sym("y", 1, m), ca.MX.sym("M", m, m), ca.MX.sym("falls", 1, lags)
     # a column for each j: y_j, then M_ij for i = j, j - 1, ..
     before = [[j - d + m * j if d <= j else 0 for j in range(m)] for d in range(m)]
