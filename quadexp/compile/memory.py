@@ -61,6 +61,14 @@ class Memory:
         self.take_back()
 
 
+class Sums(Memory):
+    """Memory that is added to behind all that may be refused: what it is now is never gone back from."""
+
+    def __init__(self, owner: str, sizes: Mapping[str, int]) -> None:
+        super().__init__(owner, sizes)
+        self.of_next, self.pairs = self.of_now, []
+
+
 def sizes_of(functions: Iterable[ca.Function]) -> dict[str, int]:
     """Name -> how many numbers of it the functions remember."""
     sizes = dict[str, int]()

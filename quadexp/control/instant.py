@@ -177,7 +177,7 @@ class Running:
     @property
     def declared(self) -> bool:
         """Whether all that is remembered is declared."""
-        return not any(o.kind in ("python", "gather") for o in self.instant.operations)
+        return not any(o.kind == "python" for o in self.instant.operations)
 
     @property
     def memory(self) -> dict[str, np.ndarray]:

@@ -31,7 +31,7 @@ from quadexp.plugins.auto.ahead import Ahead
 from quadexp.plugins.auto.bank import Bank
 from quadexp.plugins.auto.decide import Decision, Senses, decide, known
 from quadexp.plugins.auto.disturbance import DEVIATIONS, DisturbanceFilter, sources, speeds_tell
-from quadexp.plugins.auto.posterior import Posterior, posterior
+from quadexp.plugins.auto.posterior import Evidence, Posterior
 from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL
 from quadexp.plugins.remedies.delay.strapdown import TunedStrapdown
 from quadexp.plugins.remedies.observers.observer import COLUMNS as BELIEVED
@@ -78,6 +78,7 @@ class Auto(WrappedController):
         air, theta = air_of(core), parameters_of(core)
         noise, spans = (force.noise, turn.noise, attitude.noise), (force.within(period), turn.within(period))
         self._bank = Bank(vehicle, air, theta, period, inner.backend, noise, spans)
+        self._evidence = Evidence(self._bank, inner.backend)
         predictive, self.believes = isinstance(core, PredictiveController), hasattr(core, "believed_numbers")
         self._by_speeds, wind = predictive and speeds_tell(vehicle, sheet), WindObserver()
         bandwidth = wind_bandwidth(vehicle, air, theta, wind, period) if predictive else 0.0
@@ -157,6 +158,7 @@ class Auto(WrappedController):
         after = [*self._bank.after(told, state, inner.command), *self._commands.after(inner.command)]
         logged = (*inner.logged, belief, self._beliefs, self._filter.acts, self._filter.deviations)
         memory = (*inner.memory, self._strapdown.memory, self._filter.memory, self._commands.memory)
+        memory = (*memory, self._bank.memory, self._bank.sums)
         return inner._replace(operations=[*operations, *inner.operations, *after], logged=logged, memory=memory)
 
     @property
@@ -194,7 +196,7 @@ class Auto(WrappedController):
         self._soon[0] = elapsed < DECISION.early
         self._later[0] = 1 - self._soon[0]
         if elapsed >= self._next and bank.part("weights")[1]:
-            self._found = posterior(bank)
+            self._found = self._evidence()
             self._next = elapsed + min(max(DECISION.pace * elapsed, DECISION.soonest), DECISION.latest)
             self._report(self._found)
         decision = decide(self._found, self._decision, self._senses())

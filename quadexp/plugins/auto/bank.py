@@ -22,16 +22,17 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from itertools import accumulate
+from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.memory import NEXT, NOW, Memory, Sums, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.built import built
 from quadexp.control.delivered import SETTLED
 from quadexp.control.instant import Operation, Told, call, copy
 from quadexp.models.residual import Residual
+from quadexp.physics.expression import Expression, named_function, named_symbols
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -41,15 +42,9 @@ from quadexp.plugins.auto.settings import BANK
 GYROS, AXES = len(BANK.gyro_models), 3
 
 
-def places(sizes: dict[str, int]) -> dict[str, slice]:
-    """Slices of an array that has parts of these sizes, one after another."""
-    ends = [*accumulate(sizes.values())]
-    return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
-
-
 class Layout:
-    """Places in a bank's memory. period: s. commands, readings: how many count. columns: of a reading's filter, y, phi
-    of each reading and of each axis of its bias."""
+    """What a bank remembers. period: s. commands, readings: how many count. columns: of a reading's filter, y, phi of
+    each reading and of each axis of its bias. sizes: of its memory, by name."""
 
     def __init__(self, period: float) -> None:
         reach = BANK.largest_age + BANK.largest_dead_time + SETTLED * BANK.largest_lag + period
@@ -57,15 +52,12 @@ class Layout:
         self.readings = int(BANK.largest_age / period + 1e-9) + 3
         self.columns, channels = 1 + self.readings + AXES, 2 * GYROS + 1
         velocity = len(BANK.velocity_models) * self.columns
-        self.places = places(
-            {
-                "count": 1, "weights": 3, "x": N_STATE, "missed": 1, "forces": AXES * self.readings,
-                "rates": AXES * self.readings, "filters": 4 * channels, "regressors": channels * (self.commands + 3),
-                "velocity": AXES * velocity, "velocity_before": 2 * velocity, "attitude_before": AXES * self.columns,
-                "lateral": 1, "reading": 2, "change": 2, "drift": 6, "noise": 3,
-            }
-        )  # fmt: skip
-        self.size = self.places["noise"].stop
+        self.sizes = {
+            "count": 1, "weights": 3, "x": N_STATE, "missed": 1, "forces": AXES * self.readings,
+            "rates": AXES * self.readings, "filters": 4 * channels, "regressors": channels * (self.commands + 3),
+            "velocity": AXES * velocity, "velocity_before": 2 * velocity, "attitude_before": AXES * self.columns,
+            "lateral": 1, "reading": 2, "change": 2, "drift": 6, "noise": 3,
+        }  # fmt: skip
 
 
 class Bank:
@@ -73,7 +65,8 @@ class Bank:
 
     theta: parameters of the residual, shared. noise: stated, of a reading of accelerometer (m/s^2), gyroscope (rad/s)
     and attitude (rad). spans: over which readings of accelerometer and gyroscope are means (s).
-    period: of the bank (s), `every` control periods. moments: of gyro, thrust, velocity, attitude, (models, c, c).
+    period: of the bank (s), `every` control periods. moments: of gyro, thrust, velocity, attitude, (models, c, c),
+    which are the `sums`. memory: all else that is remembered.
     """
 
     def __init__(
@@ -84,9 +77,9 @@ class Bank:
         self.period = self.every * control_period
         self.layout = layout = Layout(self.period)
         function = built(backend, bank_function, vehicle, residual, self.period, self.every)
-        self._update = BufferedFunction(function, {"theta": theta})
+        self.memory = Memory("Bank", sizes_of([function]) | {"sent": vehicle.n_rotors})
+        self._update = connected(function, {"theta": theta}, {}, self.memory)
         given = self._update.arguments
-        self.memory, self._sent = given["memory"], given["u"]
         self.stated = max(noise[0], BANK.least_reading)
         self.turn_noise = (BANK.least_turn + noise[1]) * self.period, BANK.least_attitude + noise[2]
         given["stated"][...] = self.stated
@@ -94,11 +87,12 @@ class Bank:
         commands, both = layout.commands + 3, 2 * layout.columns
         shapes = {"gyro": (GYROS, commands), "thrust": (1, commands)}
         shapes |= {"velocity": (len(BANK.velocity_models), both), "attitude": (1, both)}
-        self.moments = {name: np.zeros((models, size, size)) for name, (models, size) in shapes.items()}
+        self.sums = Sums("BankSums", {name: models * size**2 for name, (models, size) in shapes.items()})
+        self.moments = {name: self.sums.of_now[name].reshape(-1, size, size) for name, (_, size) in shapes.items()}
 
     def part(self, name: str) -> np.ndarray:
         """What the memory has under a name."""
-        return self.memory[self.layout.places[name]]
+        return self.memory.of_now[name]
 
     @property
     def elapsed(self) -> float:
@@ -117,29 +111,29 @@ class Bank:
 
     def reset(self, x: np.ndarray, thrust: np.ndarray) -> None:
         """Begin a flight in the state x, (13,); this command, (n,) (N), has been sent for a long time."""
-        for array in (self.memory, *self.moments.values()):
-            array[...] = 0.0
-        specific, readings = thrust.sum() / self.vehicle.mass, self.layout.readings
-        self.part("x")[...], self.part("lateral")[...] = x, self.stated**2
-        self.part("forces")[...] = np.tile([0.0, 0.0, specific], readings)
-        self.part("rates")[...] = np.tile(x[RATE], readings)
-        filters = self.part("filters").reshape(4, -1)
+        specific, layout = thrust.sum() / self.vehicle.mass, self.layout
+        filters = np.zeros((4, 2 * GYROS + 1))
         filters[0] = [*np.tile(x[RATE][:2], GYROS), specific]
         filters[2, -1] = specific
-        self.part("velocity").reshape(-1, self.layout.columns)[:, 0] = np.tile(x[VELOCITY], len(BANK.velocity_models))
-        self._sent[...] = self.every * thrust
+        velocity = np.zeros((len(BANK.velocity_models) * AXES, layout.columns))
+        velocity[:, 0] = np.tile(x[VELOCITY], len(BANK.velocity_models))
+        start = {"x": x, "lateral": self.stated**2, "filters": filters, "velocity": velocity}
+        start |= {"forces": np.tile([0.0, 0.0, specific], layout.readings), "rates": np.tile(x[RATE], layout.readings)}
+        self.memory.begin(start | {"sent": self.every * thrust})
+        self.sums.begin({})
 
     def after(self, told: Told, state: np.ndarray, command: np.ndarray) -> list[Operation]:
         """Takes in what is told, the state that is found there, (13,), and then the command, (n,) (N)."""
         given, left = self._update.arguments, self._update.results
         due = [copy(given["x"], state), copy(given["f"], told.force), copy(given["read"], told.read)]
-        due += [call(self._update), copy(self.memory, left["memory_next"])]
+        due.append(call(self._update))
         fading = math.exp(-self.period / BANK.forgetting)
         for name, moments in self.moments.items():
             rows = left[f"{name}_z"].reshape(len(moments), -1, moments.shape[-1])
             due.append(Operation("gather", moments, rows, factor=fading))
-        due.append(copy(self._sent, np.zeros(self.vehicle.n_rotors)))
-        return [*(o._replace(every=self.every) for o in due), Operation("add", self._sent, self._sent, command)]
+        sent = self.memory.of_next["sent"]
+        due.append(copy(sent, np.zeros(self.vehicle.n_rotors)))
+        return [*(o._replace(every=self.every) for o in due), Operation("add", sent, sent, command)]
 
 
 @cache
@@ -154,26 +148,27 @@ def stationary_gain(noise: float, walk: float, period: float) -> tuple[float, fl
     return float(K[0]), float(K[1])
 
 
-def first_order_gain(ratio: float) -> float:
+def first_order_gain(ratio: Expression) -> Any:
     """Gain of the stationary filter of a random walk, by the ratio of its walk in a step to the noise of a reading."""
-    variance = ratio**2 / 2 + math.sqrt(ratio**4 / 4 + ratio**2)
+    variance = ratio**2 / 2 + (ratio**4 / 4 + ratio**2) ** 0.5
     return variance / (variance + 1)
 
 
 def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: int) -> ca.Function:
     """A period of the bank: memory after it, and the rows z of each filter, one after another.
 
-    Inputs: memory, see Layout; x (13,), told; f (3,), reading, and whether it was `read`; u (n,), the commands since
-    the last period, added (N); stated noise (m/s^2); attitude_gain, of its filter; theta.
+    Inputs: memory, see Layout, and `sent` (n,), the commands since the last period, added (N); x (13,), told; f (3,),
+    reading, and whether it was `read`; stated noise (m/s^2); attitude_gain, of its filter; theta.
     """
     layout, n = Layout(period), vehicle.n_rotors
     m, readings, columns = layout.commands, layout.readings, layout.columns
-    shapes = {"memory": layout.size, "x": N_STATE, "f": 3, "read": 1, "u": n, "stated": 1, "attitude_gain": 1}
-    a = {name: ca.MX.sym(name, size) for name, size in (shapes | {"theta": residual.function.size1_in(1)}).items()}
-    kept = {name: a["memory"][place] for name, place in layout.places.items()}
+    shapes = {NOW + name: size for name, size in layout.sizes.items()} | {f"{NOW}sent": n}
+    shapes |= {"x": N_STATE, "f": 3, "read": 1, "stated": 1, "attitude_gain": 1, "theta": residual.function.size1_in(1)}
+    a = named_symbols(ca.MX, shapes)
+    kept = {name: a[NOW + name] for name in layout.sizes}
     x, last, read, count = a["x"], kept["x"], a["read"], kept["count"] + 1
     f = ca.if_else(read, a["f"], kept["forces"][:3])
-    w, R, sent = x[RATE], rotation_matrix(x[ATTITUDE]), a["u"] / every
+    w, R, sent = x[RATE], rotation_matrix(x[ATTITUDE]), a[f"{NOW}sent"] / every
     air = ca.densify(residual.function(body_features(x, sent), a["theta"])[0])
     counts, time = count > BANK.settling / period, count * period
 
@@ -253,9 +248,8 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
         "drift": drift, "noise": noise,
     }  # fmt: skip
     results = {
-        "memory_next": ca.vertcat(*(now[name] for name in layout.places)),
         "gyro_z": counts * ca.vec(z[:, :-1]), "thrust_z": counts * z[:, -1],
         "velocity_z": counts * read * ca.vertcat(*velocity_z),
         "attitude_z": flown * ca.vec(ca.vertcat(attitude, before)),
-    }  # fmt: skip
-    return ca.Function("bank", [*a.values()], [*results.values()], [*a], [*results])
+    } | {NEXT + name: value for name, value in now.items()}  # fmt: skip
+    return named_function("bank", a, {name: ca.densify(value) for name, value in results.items()})

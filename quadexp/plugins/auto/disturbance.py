@@ -28,11 +28,10 @@ from quadexp.control.built import built
 from quadexp.control.instant import Operation, call
 from quadexp.models.residual import Residual
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
-from quadexp.physics.expression import limited, named_function
+from quadexp.physics.expression import limited, named_function, named_symbols
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.auto.bank import places
 from quadexp.plugins.auto.settings import DISTURBANCE, INTERVAL, SPEEDS
 from quadexp.plugins.remedies.observers.filters import STATED, inverse
 
@@ -41,13 +40,10 @@ WALKS, TORQUES = len(DISTURBANCE.walk_factors), 1 + len(DISTURBANCE.torque_bandw
 TINY = 1e-12  # so that nothing is divided by zero
 # m/s, N, s by which the force is behind, 1
 DEVIATIONS = (*(f"{of}_{axis}_sd" for of in ("wind", "force") for axis in "xyz"), "force_lag", "thrust_scale_sd")
-PLACES = places(
-    {
-        "estimate": N_ESTIMATE * WALKS, "covariance": N_ESTIMATE**2 * WALKS, "rates": 3 * TORQUES,
-        "torque": 3 * TORQUES, "evidence": 2 * WALKS, "squares": 2 * WALKS, "torque_evidence": TORQUES - 1, "acts": 3,
-        "thrust": 1, "slope": 1,
-    }
-)  # fmt: skip
+SIZES = {
+    "estimate": N_ESTIMATE * WALKS, "covariance": N_ESTIMATE**2 * WALKS, "rates": 3 * TORQUES, "torque": 3 * TORQUES,
+    "evidence": 2 * WALKS, "squares": 2 * WALKS, "torque_evidence": TORQUES - 1, "acts": 3, "thrust": 1, "slope": 1,
+}  # fmt: skip
 
 
 class Sources(NamedTuple):
@@ -115,18 +111,15 @@ class DisturbanceFilter:
         self._places["theta"] = theta.reshape(-1)[: self._function.numel_in("theta")]
         self._initial = np.square(known.initial)
         self.belief, self.deviations = np.zeros(N_BELIEF), np.zeros(len(DEVIATIONS))
-        self._estimate = self.memory.of_now["estimate"]
-        self.acts = self._estimate[PLACES["acts"]]
+        self.acts = self.memory.of_now["acts"]
 
     def reset(self, x: np.ndarray) -> None:
         """Begin a flight in the state x, (13,): nothing is believed."""
         self.timing[0] = DISTURBANCE.unknown_timing
         self.lateral[...], self.noise[...], self.apart[...] = 0.0, 0.0, 0.0
         self.belief[...], self.deviations[...] = np.hstack([*no_belief()]), np.nan
-        estimate = np.zeros(self._estimate.size)
-        estimate[PLACES["covariance"]] = np.tile(np.diag(self._initial).ravel(), WALKS)
-        estimate[PLACES["rates"]] = np.tile(x[RATE], TORQUES)
-        self.memory.begin({"estimate": estimate})
+        covariance = np.tile(np.diag(self._initial).ravel(), WALKS)
+        self.memory.begin({"covariance": covariance, "rates": np.tile(x[RATE], TORQUES)})
 
     def before(self, known: dict[str, np.ndarray], read: np.ndarray) -> list[Operation]:
         """Leaves belief and deviations. known: arrays with the state x (13,), the reading (3,), thrust and mean,
@@ -137,21 +130,13 @@ class DisturbanceFilter:
 
 def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, known: Sources) -> ca.Function:
     """Memory, belief and deviations after an instant; see DisturbanceFilter. noise: of the bank, variances of a reading
-    across the thrust, of position and attitude. Memory: all of PLACES as `estimate`; whether anything has been read."""
+    across the thrust, of position and attitude. Memory: SIZES, and whether anything has been read."""
     n, s = vehicle.n_rotors, DISTURBANCE
-    shapes = {
-        f"{NOW}estimate": PLACES["slope"].stop,
-        f"{NOW}flown": 1,
-        "x": N_STATE,
-        "reading": 3,
-        "read": 1,
-        "thrust": n,
-        "mean": n,
-    }
+    shapes = {NOW + name: size for name, size in SIZES.items()} | {f"{NOW}flown": 1}
+    shapes |= {"x": N_STATE, "reading": 3, "read": 1, "thrust": n, "mean": n}
     shapes |= {"lateral": 1, "noise": 3, "timing": 1, "apart": 1, "theta": air.size1_in(1)}
-    a = {name: ca.MX.sym(name, size) for name, size in shapes.items()}
-    last = a[f"{NOW}estimate"]
-    kept = {name: last[place] for name, place in PLACES.items()}
+    a = named_symbols(ca.MX, shapes)
+    kept = {name: a[NOW + name] for name in SIZES}
     x, read, thrust = a["x"], a["read"], a["thrust"]
     R, rate, specific = rotation_matrix(x[ATTITUDE]), x[RATE], ca.sum1(thrust) / vehicle.mass
     fading = math.exp(-period / s.noise_memory)
@@ -282,8 +267,8 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
         "rates": ca.vertcat(*rates), "torque": ca.vertcat(*torques), "evidence": evidence, "squares": squares,
         "torque_evidence": torque_evidence, "acts": acts, "thrust": specific, "slope": slope,
     }  # fmt: skip
-    after, flown = ca.vertcat(*(now[name] for name in PLACES)), ca.fmax(a[f"{NOW}flown"], read)
-    results = {f"{NEXT}estimate": ca.if_else(flown, after, last), f"{NEXT}flown": ca.MX(1)}
+    flown = ca.fmax(a[f"{NOW}flown"], read)
+    results = {NEXT + name: ca.if_else(flown, now[name], kept[name]) for name in SIZES} | {f"{NEXT}flown": ca.MX(1)}
     results["belief"] = ca.if_else(flown, belief, ca.DM(np.hstack([*no_belief()])))
     results["deviations"] = ca.if_else(flown, deviations, math.nan)
     return named_function("disturbance", a, results)

@@ -1,5 +1,5 @@
 """Posterior over age a, total delay D = dead time + lag, lag l, and by how much rates are newer than the pose, r: a
-pure function of the bank's moments.
+pure function of the bank's moments, as equations.
 
     log p(a, D, l, r) = - sum over filters  kappa n / 2 log(SSE)  - (a + D) / mean_delay - log(lags of D) - odds(r)
 
@@ -11,19 +11,37 @@ the torque) with a normal prior, and the bias of the sensor (ridge regression). 
 worth, at most one half: (1 - rho) / (1 + rho) where successive ones are correlated by rho (Bayley & Hammersley 1946).
 Where readings are weighted, SSE is divided by what their noise adds to it, since a mean of several is less noisy than
 one (bias compensation, Soderstrom 2007). The likeliest noise model counts. The grid is fixed: coarse over all
-hypotheses, then a finer one that moves while its mode is on its edge.
+hypotheses, then a finer one around a mode, which moves while its mode is on its edge.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.symbolic import ca
+from quadexp.control.built import built
 from quadexp.control.delivered import INSTANT
-from quadexp.plugins.auto.bank import AXES, GYROS, Bank, first_order_gain
-from quadexp.plugins.auto.responses import command_weights, reading_weights
+from quadexp.physics.expression import dense_function, limited, named_function, named_symbols
+from quadexp.plugins.auto.bank import AXES, GYROS, Bank, Layout, first_order_gain
+from quadexp.plugins.auto.responses import command_weights, reading_weights, tails
 from quadexp.plugins.auto.settings import BANK
+from quadexp.plugins.remedies.observers.filters import inverse
+
+LATE, PROMPT, BETWEEN = range(3)
+STEPS = np.array([BANK.age_step, BANK.total_step, BANK.lag_step, BANK.age_step])  # of a, D, l, r (s)
+LARGEST = np.array([BANK.largest_age, BANK.largest_dead_time + BANK.largest_lag, BANK.largest_lag, BANK.largest_age])
+NEVER = 1e30  # a log odds, or a sum of squares
+
+
+class Told(NamedTuple):
+    """What a posterior knows beside the bank's moments. period: of the bank (s). spans, turn_noise: see Bank."""
+
+    period: float
+    spans: tuple[float, float]
+    turn_noise: tuple[float, float]
 
 
 class Posterior(NamedTuple):
@@ -45,182 +63,244 @@ class Posterior(NamedTuple):
         return bool(np.isinf(self.upper[:2]).any())
 
 
-LATE, PROMPT, BETWEEN = range(3)
+class Evidence:
+    """The posterior of what a bank has seen so far, each time that it is called."""
+
+    def __init__(self, bank: Bank, backend: str) -> None:
+        told = Told(bank.period, bank.spans, bank.turn_noise)
+        self._moments, known = bank.moments, {name: bank.part(name) for name in ("weights", "lateral")}
+        beside = {name: side_by_side(bank.moments[name]) for name in ("thrust", "attitude")}
+        models = {name: side_by_side(bank.moments[name]) for name in ("gyro", "velocity")}
+        self._coarse = BufferedFunction(built(backend, grid_function, told, 1), known | beside | models)
+        self._fine = BufferedFunction(built(backend, grid_function, told, BANK.fine), known | beside)
+        self._coarse.arguments["noise"][...] = BANK.velocity_models
+
+    def __call__(self) -> Posterior:
+        given, found = self._coarse.arguments, self._coarse.results
+        given["against"][...] = BANK.rates_odds
+        self._coarse()
+        at_end, odds = found["at_end"] > 0, found["odds"].tolist()
+        best = self._refined()
+        if found["rates"] == BETWEEN:  # one more number fits what lies between the points of a coarse grid
+            given["against"][BETWEEN] = NEVER
+            self._coarse()
+            other = self._refined()
+            best = other if other["best"] > best["best"] else best
+        mean, deviation, lower, upper = (best[name] for name in ("mean", "deviation", "lower", "upper"))
+        upper[at_end] = np.inf
+        return Posterior(mean, deviation, lower, upper, *odds, best["newer"].item())
+
+    def _refined(self) -> dict[str, np.ndarray]:
+        """What the finer grid leaves around the mode of the coarse one, once its own mode is not on its edge."""
+        given, left, found = self._fine.arguments, self._fine.results, self._coarse.results
+        gyro, velocity, rates = (int(found[name].item()) for name in ("gyro_model", "velocity_model", "rates"))
+        given["gyro"][...], given["velocity"][...] = self._moments["gyro"][gyro], self._moments["velocity"][velocity]
+        given["noise"][...], given["against"][...] = BANK.velocity_models[velocity], NEVER
+        given["against"][rates] = BANK.rates_odds[rates]
+        left["mode"][...] = found["mode"]
+        for _ in range(BANK.passes):
+            given["centre"][...] = left["mode"]
+            self._fine()
+            if (np.abs(left["mode"] - given["centre"]) < STEPS - INSTANT).all():
+                break
+        return {name: values.copy() for name, values in left.items()}
 
 
-class Choice(NamedTuple):
-    """Noise models of gyroscope and velocity, and when rates are: with the pose, now, or in between."""
-
-    gyro: int
-    velocity: int
-    rates: int
+def side_by_side(moments: np.ndarray) -> np.ndarray:
+    """Of all models, as a function reads them."""
+    return moments.reshape(-1, moments.shape[-1])
 
 
-def posterior(bank: Bank) -> Posterior:
-    """Of what the bank has seen; there must be some."""
-    steps = np.array([BANK.age_step, BANK.total_step, BANK.lag_step, BANK.age_step])
-    largest = BANK.largest_age, BANK.largest_dead_time + BANK.largest_lag, BANK.largest_lag, BANK.largest_age
-    whole = [np.arange(0.0, most + INSTANT, step) for most, step in zip(largest, steps, strict=True)]
-    log, choice = joint(bank, whole)
-    mode = np.unravel_index(int(log.argmax()), log.shape)
-    upper_end = [at == len(grid) - 1 for at, grid in zip(mode, whole, strict=True)]
-    odds = float(log.max() - log[0].max()), float(log.max() - log[:, 0].max())
-    refined = _refined(bank, log, whole, steps, largest, choice)
-    if choice.rates == BETWEEN:  # one more number fits what lies between the points of a coarse grid
-        rates = rates_of(whole[0], whole[3])[:, None, None]
-        others = np.where(rates == BETWEEN, -np.inf, log)
-        at = np.unravel_index(int(others.argmax()), log.shape)
-        other = choice._replace(rates=int(rates[at[0], 0, 0, at[3]]))
-        alternative = _refined(bank, others, whole, steps, largest, other)
-        if alternative[0].max() > refined[0].max():
-            refined, choice = alternative, other
-    log, grids, centre = refined
-    beside = steps[[0, 2, 2]] / BANK.fine  # a total goes along with a lag that is between points of the grid
-    fine = zip(grids[:3], steps[:3] / BANK.fine, beside, strict=True)
-    rows = [_marginal(log, axis, *of) for axis, of in enumerate(fine)]
-    mean, deviation, lower, upper = np.array(rows).T
-    upper[upper_end[:3]] = np.inf
-    newer = mean[0] if choice.rates == PROMPT else centre[3]
-    return Posterior(mean, deviation, lower, upper, *odds, float(newer))
+def rates_of(age: Any, newer: Any) -> Any:
+    """LATE, PROMPT or BETWEEN, by how much rates are newer (s)."""
+    between = ca.if_else(ca.fabs(age - newer) < INSTANT, PROMPT, BETWEEN)
+    return ca.if_else(newer < INSTANT, LATE, between)
 
 
-def _refined(
-    bank: Bank, log: np.ndarray, grids: list[np.ndarray], steps: np.ndarray, largest: tuple[float, ...], choice: Choice
-) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
-    """Log posterior on a finer grid around the mode of a coarse one, its grids and its mode."""
-    mode = np.unravel_index(int(log.argmax()), log.shape)
-    centre = np.array([grid[at] for grid, at in zip(grids, mode, strict=True)])
-    for _ in range(BANK.passes):
-        grids = [_finer(*of) for of in zip(centre, steps, largest, strict=True)]
-        log, _ = joint(bank, grids, choice)
-        mode = np.unravel_index(int(log.argmax()), log.shape)
-        before, centre = centre, np.array([grid[at] for grid, at in zip(grids, mode, strict=True)])
-        if (np.abs(centre - before) < steps - INSTANT).all():
-            break
-    return log, grids, centre
+def grid_function(told: Told, fine: int) -> ca.Function:
+    """Posterior on a grid, all hypotheses for fine = 1, or of steps a `fine`-th as large within one step of `centre`,
+    (a, D, l, r).
 
-
-def rates_of(ages: np.ndarray, newer: np.ndarray) -> np.ndarray:
-    """LATE, PROMPT or BETWEEN, (a, r), of ages and by how much rates are newer (s)."""
-    is_prompt = np.abs(ages[:, None] - newer) < INSTANT
-    rates: np.ndarray = np.where(newer < INSTANT, LATE, np.where(is_prompt, PROMPT, BETWEEN))
-    return rates
-
-
-def _finer(centre: float, step: float, largest: float) -> np.ndarray:
-    """Grid over one coarse step to either side."""
-    grid = centre + step / BANK.fine * np.arange(-BANK.fine, BANK.fine + 1)
-    return grid[(grid > -INSTANT) & (grid < largest + INSTANT)]
-
-
-def _marginal(log: np.ndarray, axis: int, grid: np.ndarray, step: float, beside: float) -> tuple[float, ...]:
-    """Mean, deviation and quantiles of an axis; a point of the grid stands for a step around it, and may be off by half
-    of `beside` (s)."""
-    share = np.exp(log - log.max()).sum(axis=tuple(i for i in range(4) if i != axis))
-    share /= share.sum()
-    mean = share @ grid
-    deviation = np.sqrt(share @ (grid - mean) ** 2 + step**2 / 12)
-    below = np.concatenate([[0.0], np.cumsum(share)])
-    edges = np.concatenate([grid - step / 2, grid[-1:] + step / 2])
-    lower, upper = np.interp([0.025, 0.975], below, edges)
-    return mean, deviation, max(lower - beside / 2, 0.0), upper + beside / 2
-
-
-def joint(bank: Bank, grids: list[np.ndarray], choice: Choice | None = None) -> tuple[np.ndarray, Choice]:
-    """Log posterior (a, D, l, r), but for a constant, on grids of them (s), and the choice; None: the likeliest."""
+    against: log odds against rates LATE, PROMPT, BETWEEN. Leaves the mode, its log posterior and its rates; which noise
+    models count; log Bayes factors against no age and no total; whether the mode is the last that there is (a, D, l);
+    mean, deviation, 2.5 and 97.5 % quantiles of a, D, l, and by how much rates are newer than the pose (s).
+    """
+    layout, steps, whole = Layout(told.period), STEPS / fine, fine == 1
+    sizes = [round(of) + 1 for of in (LARGEST if whole else 2 * STEPS) / steps]
+    n_a, n_D, n_l, n_r = sizes
+    models = {"gyro": GYROS, "velocity": len(BANK.velocity_models)} if whole else {"gyro": 1, "velocity": 1}
+    commands, both = layout.commands + 3, 2 * layout.columns
+    shapes = {"gyro": (commands, models["gyro"] * commands), "thrust": (commands, commands), "attitude": (both, both)}
+    shapes |= {"velocity": (both, models["velocity"] * both), "noise": models["velocity"], "against": 3, "centre": 4}
+    a = named_symbols(ca.MX, shapes | {"weights": 3, "lateral": 1})
+    reach = LARGEST if whole else STEPS
+    low, high = ca.fmax(a["centre"] - reach, 0), ca.fmin(a["centre"] + reach, LARGEST)
+    grids = [low[i] + steps[i] * ca.DM(range(size)) for i, size in enumerate(sizes)]
+    inside = [grid < high[i] + INSTANT for i, grid in enumerate(grids)]
     ages, totals, lags, newer = grids
-    dead_time = totals[:, None] - lags
-    d, k = np.nonzero((dead_time > -INSTANT) & (dead_time < BANK.largest_dead_time + INSTANT))
-    thrust = _by_commands(bank, "thrust", 0, totals[d], lags[k])
-    of_rates = ages[:, None] - newer
-    sums = np.maximum(of_rates, 0.0) + totals[:, None, None]
-    times, at = np.unique(np.round(sums, 9), return_inverse=True)
-    at = at.reshape(sums.shape)
-    both = np.repeat(times, len(lags)), np.tile(lags, len(times))
-    models = range(GYROS) if choice is None else [choice.gyro]
-    by_gyro = {model: _by_commands(bank, "gyro", model, *both) for model in models}
-    gyro = max(by_gyro, key=lambda model: float(by_gyro[model].max()))
-    of_gyro = by_gyro[gyro].reshape(len(times), len(lags))[at[d], k[:, None, None]]
 
-    reading = bank.period * bank.lateral_noise
-    models = range(len(BANK.velocity_models)) if choice is None else [choice.velocity]
-    by_velocity = {
-        i: _by_readings(bank, "velocity", i, ages, reading, BANK.velocity_models[i], BANK.bias_deviation)
-        for i in models
-    }
-    velocity = max(by_velocity, key=lambda model: float(by_velocity[model].max()))
-    attitude = _by_readings(bank, "attitude", 0, newer, *bank.turn_noise, BANK.rate_bias_deviation)
-    ways = np.minimum(totals[d], BANK.largest_lag) - np.maximum(totals[d] - BANK.largest_dead_time, 0.0)
-    prior = -totals[d] / BANK.mean_delay - np.log(ways + BANK.lag_step)
-    of_total = (thrust + prior)[:, None, None]
-    of_age = (by_velocity[velocity] - ages / BANK.mean_delay)[:, None]
-    rates = rates_of(ages, newer)
-    possible = (of_rates > -INSTANT) & (rates == (rates if choice is None else choice.rates))
-    possible &= (rates != BETWEEN) | (newer > BANK.age_step - INSTANT)  # less is how rates go between readings
-    of_age = np.where(possible, of_age + attitude - np.array(BANK.rates_odds)[rates], -np.inf)
-    log = np.full((len(ages), len(totals), len(lags), len(newer)), -np.inf)
-    log[:, d, k] = np.moveaxis(of_total + of_age + of_gyro, 0, 1)
-    at_mode = np.unravel_index(int(log.max(axis=(1, 2)).argmax()), rates.shape)
-    return log, Choice(gyro, velocity, int(rates[at_mode]))
+    # thrusts, of total and lag
+    total, lag = ca.repmat(totals, 1, n_l), ca.repmat(lags.T, n_D, 1)
+    dead_time = total - lag
+    possible = ca.mtimes(inside[1], inside[2].T) * (dead_time > -INSTANT)
+    possible = possible * (dead_time < BANK.largest_dead_time + INSTANT)
+    by_thrust = commands_function("thrust", told, layout, n_D, n_l)
+    thrust = by_thrust(a["thrust"], totals, lags, possible, a["weights"][0])
+    ways = ca.fmin(total, BANK.largest_lag) - ca.fmax(total - BANK.largest_dead_time, 0)
+    prior = -total / BANK.mean_delay - ca.log(ca.fmax(ways, 0) + BANK.lag_step)
+    of_total = ca.if_else(possible, thrust + prior, -NEVER)
+
+    # gyroscope, of lag and the total beside what rates are old by, a - r
+    n_old = n_a if whole else n_a + n_r - 1
+    first = ca.fmax(low[0] - high[3], 0)
+    times = first + low[1] + steps[0] * ca.DM(range(n_old + n_D - 1))
+    told_of = times < ca.fmax(high[0] - low[3], 0) + high[1] + INSTANT
+    told_of = ca.mtimes(told_of, inside[2].T)
+    by_gyro = commands_function("gyro", told, layout, n_old + n_D - 1, n_l)
+    each = ca.horzsplit(a["gyro"], commands)
+    gyro_model, of_gyro = _likeliest([by_gyro(M, times, lags, told_of, a["weights"][0]) for M in each])
+    by_old = [of_total + of_gyro[i : i + n_D, :] for i in range(n_old)]
+
+    # velocities and attitudes, of age and of what rates are newer by
+    reading = told.period * ca.sqrt(a["lateral"])
+    by_velocity, by_attitude = (readings_function(*of) for of in (("velocity", told, n_a), ("attitude", told, n_r)))
+    each = zip(ca.horzsplit(a["velocity"], both), ca.vertsplit(a["noise"]), strict=True)
+    by_model = [by_velocity(M, ages, inside[0], a["weights"][1], reading, noise) for M, noise in each]
+    velocity_model, of_age = _likeliest(by_model)
+    of_age = of_age - ages / BANK.mean_delay
+    of_newer = by_attitude(a["attitude"], newer, inside[3], a["weights"][2], *told.turn_noise)
+    age, by = ca.repmat(ages, 1, n_r), ca.repmat(newer.T, n_a, 1)
+    rates = ca.MX(rates_of(age, by))
+    counts = ca.mtimes(inside[0], inside[3].T) * (age - by > -INSTANT)
+    # less is how rates go between readings
+    counts = counts * ca.logic_or(rates != BETWEEN, by > BANK.age_step - INSTANT)
+    odds = _taken(a["against"], rates)
+    alone = ca.repmat(of_age, 1, n_r) + ca.repmat(of_newer.T, n_a, 1) - odds
+    old = ca.MX(limited(ca.floor((ca.fmax(age - by, 0) - first) / steps[0] + 0.5), 0, n_old - 1))
+    log = ca.if_else(counts, alone + _taken(ca.vertcat(*map(ca.mmax, by_old)), old), -NEVER)
+    without_total = alone + _taken(ca.vertcat(*(ca.mmax(one[0, :]) for one in by_old)), old)
+    without_total = ca.if_else(counts, without_total, -NEVER)
+
+    best, at = _largest(log)
+    at_old = ca.vec(old)[at]
+    stacked = ca.horzcat(*map(ca.vec, by_old))
+    _, at_total = _largest(stacked[ca.DM(range(n_D * n_l)) + n_D * n_l * at_old])
+    row, row_of_total = ca.fmod(at, n_a), ca.fmod(at_total, n_D)
+    place = ca.vertcat(row, row_of_total, (at_total - row_of_total) / n_D, (at - row) / n_a)
+    mode = low + steps * place
+    results = {
+        "mode": mode, "best": best, "rates": rates_of(mode[0], mode[3]),
+        "gyro_model": gyro_model, "velocity_model": velocity_model,
+        "odds": ca.vertcat(best - ca.mmax(log[0, :]), best - ca.mmax(without_total)),
+        "at_end": mode[:3] > LARGEST[:3] - INSTANT,
+    }  # fmt: skip
+    if whole:
+        return named_function("coarse", a, {name: ca.densify(value) for name, value in results.items()})
+
+    likely, share_of_age, share = ca.exp(log - best), 0, 0
+    for i, one in enumerate(by_old):
+        here = likely * (old == i)
+        by_total = ca.exp(one - ca.mmax(one))
+        share_of_age = share_of_age + ca.sum2(here) * ca.sum1(ca.sum2(by_total))
+        share = share + ca.sum1(ca.sum2(here)) * by_total
+    beside = STEPS[[0, 2, 2]] / fine  # a total goes along with a lag that is between points of the grid
+    shares = share_of_age, ca.sum2(share), ca.sum1(share).T
+    spread = [_summary(*of) for of in zip(shares, grids[:3], steps[:3], beside, strict=True)]
+    for name, values in zip(("mean", "deviation", "lower", "upper"), zip(*spread, strict=True), strict=True):
+        results[name] = ca.vertcat(*values)
+    results["newer"] = ca.if_else(results["rates"] == PROMPT, results["mean"][0], mode[3])
+    return named_function("fine", a, {name: ca.densify(value) for name, value in results.items()})
 
 
-def _by_commands(bank: Bank, name: str, model: int, total: np.ndarray, lag: np.ndarray) -> np.ndarray:
-    """Log likelihood (k,) of a filter that commands drive."""
-    M, m = bank.moments[name][model], bank.layout.commands
-    n = max(float(bank.part("weights")[0]), 1.0)
-    span, deviation = bank.spans[0], BANK.scale_deviation
+def _taken(table: Any, at: Any) -> Any:
+    """The elements at these places, as an array like them."""
+    return ca.reshape(table[ca.vec(at)], *at.shape)
+
+
+def _largest(values: Any) -> tuple[Any, Any]:
+    """The largest value, and the first place where it is."""
+    most = ca.mmax(values)
+    return most, ca.find(ca.vec(values) >= most)
+
+
+def _likeliest(found: list[Any]) -> tuple[Any, Any]:
+    """Of the log likelihoods by several noise models those that have the largest, and which model it is."""
+    best, which = found[0], ca.MX(0)
+    for i, other in enumerate(found[1:], 1):
+        better = ca.mmax(other) > ca.mmax(best)
+        best, which = ca.if_else(better, other, best), ca.if_else(better, i, which)
+    return which, best
+
+
+def _summary(share: Any, grid: Any, step: float, beside: float) -> tuple[Any, ...]:
+    """Mean, deviation and quantiles; a point of the grid stands for a step around it, and may be off by half of
+    `beside` (s)."""
+    share = share / ca.sum1(share)
+    mean = ca.dot(share, grid)
+    deviation = ca.sqrt(ca.dot(share, (grid - mean) ** 2) + step**2 / 12)
+    below, begins = ca.cumsum(share) - share, grid[0] - step / 2
+
+    def quantile(p: float) -> Any:
+        passed = limited((p - below) / ca.fmax(share, 1 / NEVER), 0, 1)
+        return begins + step * ca.sum1(passed)
+
+    return mean, deviation, ca.fmax(quantile(0.025) - beside / 2, 0), quantile(0.975) + beside / 2
+
+
+def commands_function(name: str, told: Told, layout: Layout, totals: int, lags: int) -> ca.Function:
+    """Log likelihood, (D, l), of a filter that commands drive, by its moments; of hypotheses that are possible."""
+    m, T = layout.commands, told.period
+    shapes = {"M": (m + 3, m + 3), "total": totals, "lag": lags, "possible": (totals, lags), "count": 1}
+    M, total, lag, possible, count = (a := named_symbols(ca.MX, shapes)).values()
+    n, deviation, span = ca.fmax(count, 1), BANK.scale_deviation, told.spans[0]
     if name == "gyro":  # two readings differ by the mean in between
-        n, total, span, deviation = 2 * n, total + bank.spans[1] / 2, bank.period, BANK.inertia_deviation
-    h = command_weights(bank.period, m, total, lag, span)
+        n, total, span, deviation = 2 * n, total + told.spans[1] / 2, T, BANK.inertia_deviation
     phi = slice(2, 2 + m)
-    cross = h @ M[0, phi]
-    square = np.einsum("ki,ki->k", h @ M[phi, phi], h)
-    ridge = max(float((M[0, 0] - 2 * cross + square).min()), 0.0) / n / deviation**2 + BANK.floor
+    cross, square = tails(M[0, phi], M[phi, phi], T, total, lag, span)
+    least = ca.mmin(ca.if_else(possible, M[0, 0] - 2 * cross + square, NEVER))
+    ridge = ca.fmax(least, 0) / n / deviation**2 + BANK.floor
     scale = (cross + ridge) / (square + ridge)
-    sse = np.maximum(M[0, 0] - 2 * scale * cross + scale**2 * square, 0.0)
-    best = int(sse.argmin())
-    now = np.concatenate([[1.0, 0.0], -scale[best] * h[best], [0.0]])
-    before = np.concatenate([[0.0, 1.0, 0.0], -scale[best] * h[best]])
-    return -_information(now @ M @ before, now @ M @ now) * n / 2 * np.log(sse / n + BANK.floor)
+    sse = ca.fmax(M[0, 0] - 2 * scale * cross + scale**2 * square, 0)
+    _, best = _largest(-ca.if_else(possible, sse, NEVER))
+    row = ca.fmod(best, totals)
+    h = ca.vec(scale)[best] * command_weights(T, m, total[row], lag[(best - row) / totals], span)
+    now, before = ca.vertcat(1, 0, -h, 0), ca.vertcat(0, 1, 0, -h)
+    moved = ca.mtimes(M, now)
+    kappa = _information(ca.dot(before, moved), ca.dot(now, moved))
+    return dense_function(name, a, {"log": -kappa * n / 2 * ca.log(sse / n + BANK.floor)})
 
 
-def _by_readings(
-    bank: Bank, name: str, model: int, ages: np.ndarray, reading: float, noise: float, prior: float
-) -> np.ndarray:
+def readings_function(name: str, told: Told, ages: int) -> ca.Function:
     """Log likelihood of ages (a,), by a filter that integrates readings. reading: deviation of what a reading adds in a
-    period. noise: of the state that it is compared with. prior: of the readings' bias."""
-    velocity = name == "velocity"
-    n = (2 if velocity else AXES) * max(float(bank.part("weights")[1 if velocity else 2]), 1.0)
-    c, r = bank.layout.columns, bank.layout.readings
-    M = bank.moments[name][model]
+    period. noise: of the state that it is compared with."""
+    layout, velocity = Layout(told.period), name == "velocity"
+    c, r = layout.columns, layout.readings
+    shapes = {"M": (2 * c, 2 * c), "age": ages, "inside": ages, "count": 1, "reading": 1, "noise": 1}
+    M, age, inside, count, reading, noise = (a := named_symbols(ca.MX, shapes)).values()
+    n, prior = (2, BANK.bias_deviation) if velocity else (AXES, BANK.rate_bias_deviation)
+    n = n * ca.fmax(count, 1)
     square, products = M[:c, :c], M[:c, c:]
     known, bias = slice(0, 1 + r), slice(1 + r, c)
-    weights = reading_weights(bank.period, r, ages - bank.spans[0 if velocity else 1] / 2)
-    h = np.concatenate([np.ones((len(ages), 1)), -weights], axis=1)
-    sse = np.einsum("ki,ki->k", h @ square[known, known], h)
-    cross = h @ square[known, bias]
-    ridge = max(float(sse.min()), 0.0) / n / prior**2 + BANK.floor
-    estimate = cross @ np.linalg.inv(square[bias, bias] + ridge * np.eye(AXES))
-    sse = np.maximum(sse - np.einsum("ki,ki->k", cross, estimate), 0.0)
+    weights = reading_weights(told.period, r, age - told.spans[not velocity] / 2)
+    h = ca.horzcat(ca.DM.ones(ages), -weights)
+    sse = ca.sum2(ca.mtimes(h, square[known, known]) * h)
+    cross = ca.mtimes(h, square[known, bias])
+    ridge = ca.fmax(ca.mmin(ca.if_else(inside, sse, NEVER)), 0) / n / prior**2 + BANK.floor
+    estimate = ca.mtimes(cross, inverse(square[bias, bias] + ridge * ca.DM.eye(AXES)))
+    sse = ca.fmax(sse - ca.sum2(cross * estimate), 0)
     gain = first_order_gain(reading / noise)
-    added = _added_noise(weights, reading, 1 - gain) + 2 * noise**2 / (2 - gain)
-    sse = sse / (added / added[0])
-    best = int(sse.argmin())
-    whole = np.concatenate([h[best], -estimate[best]])
-    kappa = _information(whole @ products @ whole, whole @ square @ whole)
-    likelihood: np.ndarray = -kappa * n / 2 * np.log(sse / n + BANK.floor)
-    return likelihood
+    # what white noise of readings adds to an innovation of a filter that keeps 1 - gain of its error
+    kept = (1 - gain) ** ca.DM(np.abs(np.subtract.outer(range(r), range(r))))
+    added = reading**2 * ca.sum2(ca.mtimes(weights, kept) * weights) / (1 - (1 - gain) ** 2)
+    added = added + 2 * noise**2 / (2 - gain)
+    sse = sse * added[0] / added
+    _, best = _largest(-ca.if_else(inside, sse, NEVER))
+    whole = ca.horzcat(h, -estimate)[best + ages * ca.DM(range(c))]
+    kappa = _information(ca.mtimes([whole.T, products, whole]), ca.mtimes([whole.T, square, whole]))
+    return dense_function(name, a, {"log": -kappa * n / 2 * ca.log(sse / n + BANK.floor)})
 
 
-def _information(product: float, square: float) -> float:
+def _information(product: Any, square: Any) -> Any:
     """Of an innovation, by the correlation of successive ones."""
-    rho = product / max(square, BANK.floor**2)
-    return float(np.clip((1 - rho) / (1 + rho), BANK.least_information, BANK.most_information))
-
-
-def _added_noise(weights: np.ndarray, reading: float, kept: float) -> np.ndarray:
-    """Variance (k,) that white noise of readings has in an innovation of a filter that keeps this share of its error
-    from step to step."""
-    apart = np.abs(np.subtract.outer(range(weights.shape[1]), range(weights.shape[1])))
-    variance: np.ndarray = reading**2 * np.einsum("ki,ki->k", weights @ kept**apart, weights) / (1 - kept**2)
-    return variance
+    rho = product / ca.fmax(square, BANK.floor**2)
+    return limited((1 - rho) / (1 + rho), BANK.least_information, BANK.most_information)

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from quadexp.compile.symbolic import ca
 from quadexp.control.delivered import SentCommands
 from quadexp.control.instant import Told, run
 from quadexp.models.residual import no_residual
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.plugins.auto.bank import Bank, first_order_gain, stationary_gain
-from quadexp.plugins.auto.posterior import posterior
-from quadexp.plugins.auto.responses import command_weights, reading_weights
+from quadexp.plugins.auto.posterior import Evidence
+from quadexp.plugins.auto.responses import command_weights, reading_weights, tails
 from quadexp.plugins.auto.settings import BANK
 
 PERIOD = 0.02
@@ -22,6 +23,10 @@ def bank_of(vehicle, **about):
     model = no_residual(vehicle)
     about = {"noise": (0.05, 0.0, 0.0)} | about
     return Bank(vehicle, model, np.zeros(model.function.size1_in(1)), PERIOD, "interpreted", **about)
+
+
+def posterior(bank):
+    return Evidence(bank, "interpreted")()
 
 
 def spin_of(vehicle):
@@ -79,6 +84,7 @@ def flown(
                 told.force[:] = force[now] + 0.05 * rng.normal(size=3)
         command[:] = commands[k]
         run(operations, k)
+        bank.memory.commit()
     return bank
 
 
@@ -93,6 +99,7 @@ def test_commands_that_do_not_change_say_nothing_of_their_delays(vehicle):
         told.state[VELOCITY], told.state[RATE] = 1e-3 * rng.normal(size=3), 5e-3 * rng.normal(size=3)
         told.force[:] = [0.0, 0.0, vehicle.gravity] + 0.05 * rng.normal(size=3)
         run(operations, k)
+        bank.memory.commit()
     for moments in bank.moments.values():
         moments[:, 2:, 2:] = moments[:, :2, 2:] = moments[:, 2:, :2] = 0.0  # exactly
     with np.errstate(invalid="raise", divide="raise"):
@@ -105,6 +112,27 @@ def test_moments_of_a_flight_that_has_hardly_begun_have_a_posterior(vehicle):
     bank = bank_of(vehicle)
     bank.reset(np.eye(13)[3], np.full(vehicle.n_rotors, vehicle.hover_thrust))
     assert np.isfinite(posterior(bank).mean).all()
+
+
+def weights_of(count, total, lag, span):
+    return np.array(command_weights(PERIOD, count, total, lag, span)).ravel()
+
+
+@pytest.mark.parametrize("span", [0.0, 0.013, PERIOD])
+def test_sums_by_head_and_tail_are_those_of_the_weights(rng, span):
+    """Of all hypotheses at once, against each one's weights on the whole matrix; the oldest weight counts for all
+    before it."""
+    m = 30
+    root, y = rng.normal(size=(m, m)), rng.normal(size=m)
+    totals, lags = np.array([0.0, 0.02, 0.031, 0.12]), np.array([0.0, 0.008, 0.064])
+    M = root @ root.T
+    cross, square = map(np.array, tails(ca.DM(y).T, ca.DM(M), PERIOD, ca.DM(totals), ca.DM(lags), span))
+    for i, total in enumerate(totals):
+        for j, lag in enumerate(lags):
+            h = weights_of(m, total, lag, span)
+            assert h.sum() == pytest.approx(1)
+            assert cross[i, j] == pytest.approx(h @ y, rel=1e-9, abs=1e-9)
+            assert square[i, j] == pytest.approx(h @ M @ h, rel=1e-9)
 
 
 def squares_of(M, h):
@@ -145,10 +173,12 @@ def test_the_moments_are_those_of_a_kalman_filter_of_each_hypothesis(vehicle):
         before = w
         command[:] = vehicle.hover_thrust * (1 + 0.3 * rng.normal(size=n))
         run([*operations, *sent.after(command)], k)
-    m, total, lags = bank.layout.commands, np.array([dead_time + age + lag]), np.array([lag])
-    h = command_weights(PERIOD, m, total, lags, PERIOD)[0]
+        bank.memory.commit()
+        sent.memory.commit()
+    m, total = bank.layout.commands, dead_time + age + lag
+    h = weights_of(m, total, lag, PERIOD)
     assert [squares_of(M, h) for M in bank.moments["gyro"]] == pytest.approx(squares, rel=1e-6)
-    h = command_weights(PERIOD, m, total - age, lags, 0.0)[0]
+    h = weights_of(m, total - age, lag, 0.0)
     assert squares_of(bank.moments["thrust"][0], h) == pytest.approx(thrust_squares, rel=1e-4)
 
 
@@ -187,9 +217,8 @@ def test_a_posterior_is_a_pure_function_of_the_moments(vehicle):
     bank, other = flown(vehicle, **known), flown(vehicle, steps=100)
     first = posterior(bank)
     posterior(other)
-    other.memory[...] = bank.memory
-    for name, moments in bank.moments.items():
-        other.moments[name][...] = moments
+    other.memory.restore(bank.memory.now)
+    other.sums.restore(bank.sums.now)
     for again in (posterior(bank), posterior(other)):
         assert all(np.array_equal(one, two) for one, two in zip(first, again, strict=True))
 
@@ -198,7 +227,8 @@ def test_a_posterior_is_a_pure_function_of_the_moments(vehicle):
 def test_the_mean_between_readings_is_that_of_a_line(rng, age):
     readings, fine = rng.normal(size=8), np.arange(4000) / 4000
     line = np.interp(-(age + PERIOD * fine), -PERIOD * np.arange(8)[::-1], readings[::-1])
-    assert reading_weights(PERIOD, 8, np.array([age]))[0] @ readings == pytest.approx(line.mean(), abs=2e-3)
+    weights = np.array(reading_weights(PERIOD, 8, ca.DM([age])))[0]
+    assert weights @ readings == pytest.approx(line.mean(), abs=2e-3)
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.8])
@@ -233,6 +263,7 @@ def test_attitudes_tell_their_age_against_rates(vehicle, age, of_rates):
         told.state[ATTITUDE] = attitude.as_quat(scalar_first=True)
         told.state[RATE] = turns[max(now - round(of_rates / fine), 0)] + bias + noise[0] * rng.normal(size=3)
         run(operations, k)
+        bank.memory.commit()
     found = posterior(bank)
     newer = age - of_rates
     assert found.newer == pytest.approx(newer, abs=0.002) and found.mean[0] > newer - 0.003

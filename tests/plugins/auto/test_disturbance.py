@@ -15,7 +15,6 @@ from quadexp.plugins.auto.disturbance import (
     DEVIATIONS,
     FORCE,
     N_ESTIMATE,
-    PLACES,
     SCALE,
     DisturbanceFilter,
     sources,
@@ -139,7 +138,7 @@ def test_the_force_is_that_of_an_extended_kalman_filter(vehicle, rng):
         assert innovation @ np.linalg.solve(S, innovation) < DISTURBANCE.surprise**2
         K = P @ H.T @ np.linalg.inv(S)
         estimate, P = estimate + K @ innovation, (np.eye(4) - K @ H) @ P
-    fast = watched.filter._estimate[PLACES["estimate"]][N_ESTIMATE:]
+    fast = watched.filter.memory.of_now["estimate"][N_ESTIMATE:]
     assert fast[FORCE] == pytest.approx(estimate[:3], rel=1e-6) and fast[SCALE] == pytest.approx(estimate[3], rel=1e-6)
 
 
