@@ -301,9 +301,7 @@ def _possible_moves(offsets: Mapping[tuple[str, str], Offset]) -> list[dict[str,
     return moves
 
 
-def _evidence(
-    t: np.ndarray, streams: dict[str, np.ndarray], good: np.ndarray, segment: np.ndarray | None
-) -> float:
+def _evidence(t: np.ndarray, streams: dict[str, np.ndarray], good: np.ndarray, segment: np.ndarray | None) -> float:
     """How well the streams agree (log units)."""
     return search.evidence(search.agreements(cut(t, streams, good & _finite(streams), segment)))
 

@@ -115,7 +115,9 @@ def check_rotor_unit(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
     if low <= speed <= high:
         return []
     middle = np.sqrt(max(low, high / 100) * high)
-    factors = {unit: factor for unit, factor in UNITS["rotor_speed"].items() if unit not in ("rad/s", "deg/s", ELECTRICAL)}
+    factors = {
+        unit: factor for unit, factor in UNITS["rotor_speed"].items() if unit not in ("rad/s", "deg/s", ELECTRICAL)
+    }
     fitting = [unit for unit, factor in factors.items() if low <= speed * factor <= high]
     unit = min(fitting, key=lambda name: abs(np.log(speed * factors[name] / middle)), default="")
     severity = "warning" if low / SLOW < speed < low else "blocking"  # a slow rotor may be larger than it is taken for

@@ -229,7 +229,9 @@ class Trial:
             advice += f"; decide between this and {', '.join(other.lines)}, which the data do not"
         allowed = "SI units, world ENU, body FLU, quaternion body to world with w first"
         both = [one.severity] if rival is None else [one.severity, rival.candidate.severity]
-        return Finding(one.fault, max(both, key=SEVERITIES.index), one.where, text, allowed, advice, correction=one.correction)
+        return Finding(
+            one.fault, max(both, key=SEVERITIES.index), one.where, text, allowed, advice, correction=one.correction
+        )
 
 
 def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
@@ -286,9 +288,7 @@ def _rival(best: Trial, named: list[Trial]) -> Trial | None:
     return None
 
 
-def _small_factors(
-    windows: Windows, before: Agreements, taken: list[Candidate]
-) -> tuple[list[Finding], Agreements]:
+def _small_factors(windows: Windows, before: Agreements, taken: list[Candidate]) -> tuple[list[Finding], Agreements]:
     """Factors of axes that are sure by their own standard errors, and too small to count against what sensors differ
     by: warnings. And how well the streams agree without them."""
     scaled = {stream for mended in taken if mended.fault in ("scale", "units") for stream in mended.streams}
