@@ -7,8 +7,8 @@ Each repetition is one log of 10 s on the ground, 60 s of flight and 6 s on the 
 attitude along the specific force of a linear drag, thrust behind its command by one of DELAYS, noise of every sensor.
 Its fault is the next of FAULTS, of a size that is drawn. The log is imported as a user does: as it is, then with the
 lines that the findings print under `corrections`, and with --align where a time offset is named, up to ROUNDS times.
-A log does not say which of two streams is the late one: where a pose is, and --align moves the IMU to it, the delay of
-the thrust behind its command moves as well. It is counted apart.
+The delay of the thrust behind its command depends on which of two streams is taken to be the late one; where one is,
+it is counted apart.
 """
 
 from __future__ import annotations

@@ -30,10 +30,6 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import provenance, versions
 
 MOST = 0.2  # share of the rows: beyond, the fault is not one of rows
-MOVED = (
-    "the accelerometer is moved to the clock of the motion: where the motion is the late one, dead time and lag of the"
-    " commands are found off by as much"
-)
 ROUNDS = 3  # what is left out may have hidden something
 ATTITUDES = (("q_w", "q_x", "q_y", "q_z"), ("ref_q_w", "ref_q_x", "ref_q_y", "ref_q_z"))
 HELD = ("motor_command_", "u_", "battery_voltage", "wind_", "segment", "status")
@@ -141,11 +137,7 @@ def _offsets(log: RawLog, align: bool) -> tuple[dict[str, Any], list[str]]:
     record, notes = {}, []
     offsets = find_offsets(log.streams)
     if align:
-        before = log.streams.get("acceleration")
         log.streams.update(aligned(log.streams, offsets))
-        after = log.streams.get("acceleration")
-        if before is not None and after is not None and after.t is not before.t:
-            notes.append(MOVED)
     for (name, behind), offset in offsets.items():
         removed = align and offset.certain
         if offset.certain:
