@@ -33,7 +33,7 @@ def import_(
     rate: Annotated[float | None, Ask("Of the flight; the log's own unless given.", "HZ")] = None,
     describe: Annotated[bool, Ask("Propose a mapping for a table, and say how sure it is.")] = False,
     crop: Annotated[bool, Ask("Cut off what is on the ground.", flag="--crop/--no-crop")] = True,
-    align: Annotated[bool, Ask("Move gyro and accelerometer by the offsets found.")] = False,
+    align: Annotated[bool, Ask("Move streams that are late by the offsets found.")] = False,
     mounting: Annotated[str | None, Ask("Roll, pitch, yaw of the accelerometer in the body (deg).", "R,P,Y")] = None,
     gyro_mounting: Annotated[str | None, Ask("The same of the gyro.", "R,P,Y")] = None,
     bad_rows: Annotated[Literal["refuse", "drop", "gap"], Ask(BAD_ROWS)] = "refuse",

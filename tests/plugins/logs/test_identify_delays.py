@@ -13,10 +13,11 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
+from quadexp.models.command_lag import CommandLag
 from quadexp.models.dataset import transitions
 from quadexp.models.rotor_thrust import fit_timing
 from quadexp.parts.compose import compose
-from quadexp.plugins.logs.delays import _of_simulated, identify_delays, overrides, told
+from quadexp.plugins.logs.delays import _of_simulated, identify_delays, overrides, sum_known, told
 from quadexp.plugins.logs.moments import Moments, Stream
 from quadexp.plugins.logs.timing import Search
 from tests.models.late_flights import C, late_flight
@@ -88,6 +89,28 @@ def test_a_log_tells_by_commands_of_any_unit_and_by_the_speeds_of_its_rotors(tmp
     bare = {name: x for name, x in flight.columns.items() if not name.startswith("motor")}
     write_flight(path, Flight(bare, flight.metadata), force=True)
     assert any("none of u, motor_command" in line for line in identify_delays([path], None, None)["lines"])
+
+
+def test_a_sum_that_is_known_is_set():
+    """Dead time and lag each uncertain by 15 ms, their sum by 6: the likeliest parts are set; at a bound none is."""
+    intervals = np.array([[0.0, 0.03], [0.03, 0.06], [0.054, 0.066]])
+    late = CommandLag(0.015, 0.045, intervals, 50.0)
+    assert sum_known(late)
+    assert not sum_known(late._replace(intervals=intervals + [[0.0, 0.0], [0.0, 0.2], [0.0, 0.2]]))
+    assert not sum_known(late._replace(intervals=np.array([[0.0, 0.03], [0.0, 0.06], [0.02, 0.1]])))
+    assert not sum_known(late._replace(worth=1.0))
+
+
+def test_a_log_whose_parts_are_unsure_sets_its_sum(tmp_path):
+    """No lag of the motors: dead time and lag are told apart by a log at 100 Hz only roughly."""
+    flight, path = late_flight(0.02, 0.03), tmp_path / "log.parquet"
+    write_flight(path, flight)
+    report = identify_delays([path], None, None)
+    (record,) = report["flights"]
+    settings = dict(text.split("=") for text in record["overrides"])
+    assert "set: nothing" not in "".join(report["lines"])
+    total = sum(float(settings.get(f"controller.{key}", 0.0)) for key in ("dead_time", "motor_lag"))
+    assert total == pytest.approx(0.05, abs=6e-3)
 
 
 def test_data_set_and_delays_agree():

@@ -25,6 +25,7 @@ from quadexp.plugins.logs.signal.windows import UP, Windows, pairs
 from quadexp.plugins.logs.units import UNITS
 
 KEPT = 0.9  # share of the windows: knocks are left out
+REFITS = 3
 SURE = 5.0  # standard errors
 IN_UNIT = 3.0  # standard errors, within which a factor may be that of a unit
 NEAR_UNIT = 0.04  # of the logarithm, to which it may be besides
@@ -68,11 +69,12 @@ class Gains(NamedTuple):
 
 def gains(x: np.ndarray, y: np.ndarray, windows: int) -> Gains:
     """Of what the motion says and a sensor read, (n, 3), n a multiple of the number of windows."""
-    gap = y - x
-    scale = np.maximum(np.median(np.abs(gap - np.median(gap, axis=0)), axis=0), 1e-9)
-    size = np.sum(((gap - np.median(gap, axis=0)) / scale) ** 2, axis=1)
-    kept = size <= np.quantile(size, KEPT)
-    stretch = (np.arange(len(gap)) % windows * STRETCHES // windows)[kept]
+    kept = _near(y - x)
+    for _ in range(REFITS):  # about the line that was found, else large motions are left out
+        low, high, correlation = _regressions(x[kept], y[kept])
+        middle = np.sqrt(np.maximum(low * high, 1e-300))[:3]
+        kept = _near(y - np.where(correlation[:3] > LEAST_CORRELATION, middle, 1.0) * x)
+    stretch = (np.arange(len(x)) % windows * STRETCHES // windows)[kept]
     x, y = x[kept], y[kept]
     low, high, correlation = _regressions(x, y)
     rest = [_regressions(x[stretch != k], y[stretch != k]) for k in np.unique(stretch)]
@@ -80,6 +82,14 @@ def gains(x: np.ndarray, y: np.ndarray, windows: int) -> Gains:
     signal = x.std(axis=0)
     signal = np.append(signal, np.linalg.norm(signal))
     return Gains(low, high, low_error, high_error, signal, correlation)
+
+
+def _near(gap: np.ndarray) -> np.ndarray:
+    """Mask (n,) of the smaller KEPT of gaps (n, 3), each axis less its median and over its scatter."""
+    gap = gap - np.median(gap, axis=0)
+    scale = np.maximum(np.median(np.abs(gap), axis=0), 1e-9)
+    size = np.sum((gap / scale) ** 2, axis=1)
+    return size <= np.quantile(size, KEPT)
 
 
 def _regressions(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -158,22 +168,25 @@ def _candidates(
         return []
     key = KEYS[stream]
     undone = [1.0, 1.0, 1.0]
-    words, sizes, units = [], [], 0
+    words, sizes, units = [], [], list[str | None]()
     for axis in np.flatnonzero(off):
         size = float(high[axis])
         column = COLUMNS[stream].replace("*", "xyz"[axis])
         error = float(gain.high_error[axis] / gain.high[axis])
         unit = _unit(stream, float(low[axis]), size, error)
         undone[axis] = float(f"{UNITS[DIMENSIONS[stream]][unit] if unit else 1 / size:.7g}")
-        units += bool(unit)
+        units.append(unit)
         sizes.append(size)
         about = f" (in {unit})" if unit else f" (standard error {100 * error:.1g} %)"
         words.append(f"{column} is {size:.4g} times its true size{about}")
     small = bool(np.abs(np.array(sizes) - 1).max() < BLOCKS) and stream in "wf"
-    fault = "units" if units == len(words) else "scale"
+    fault = "units" if all(units) else "scale"
+    lines: dict[str, object] = {"scale": undone}
+    if all(units) and len(units) == 3 and len(set(units)) == 1:
+        lines = {"unit": units[0]}
     cost = COST + COST_AXIS * len(words) + more
     severity = "warning" if small else "blocking"
-    return [Candidate(fault, stream, ", ".join(words), {key: {"scale": undone}}, cost, severity)]
+    return [Candidate(fault, stream, ", ".join(words), {key: lines}, cost, severity)]
 
 
 def _unit(stream: str, low: float, high: float, error: float) -> str | None:

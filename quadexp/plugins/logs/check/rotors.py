@@ -114,7 +114,7 @@ def check_rotor_unit(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
     low, high = plausible_speeds(vehicle)
     if low <= speed <= high:
         return []
-    middle = np.sqrt(low * high)
+    middle = np.sqrt(max(low, high / 100) * high)
     factors = {
         unit: factor for unit, factor in UNITS["rotor_speed"].items() if unit not in ("rad/s", "deg/s", ELECTRICAL)
     }

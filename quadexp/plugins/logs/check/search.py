@@ -273,7 +273,8 @@ def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
             )
             allowed = f"{DISAGREE:.0%} of the signal"
             findings.append(Finding("inconsistent", "blocking", relation.columns, text, allowed))
-    findings += _small_factors(windows, before, taken)
+    small, before = _small_factors(windows, before, taken)
+    findings += small
     return taken, findings + _misfits(before, findings)
 
 
@@ -288,9 +289,9 @@ def _rival(best: Trial, named: list[Trial]) -> Trial | None:
     return None
 
 
-def _small_factors(windows: Windows, before: Agreements, taken: list[Candidate]) -> list[Finding]:
+def _small_factors(windows: Windows, before: Agreements, taken: list[Candidate]) -> tuple[list[Finding], Agreements]:
     """Factors of axes that are sure by their own standard errors, and too small to count against what sensors differ
-    by: warnings."""
+    by: warnings. And how well the streams agree without them."""
     scaled = {stream for mended in taken if mended.fault in ("scale", "units") for stream in mended.streams}
     findings = []
     told: set[str] = set()
@@ -303,7 +304,8 @@ def _small_factors(windows: Windows, before: Agreements, taken: list[Candidate])
             continue
         told.add(relation)
         findings.append(trial.finding(None))
-    return findings
+        windows, before = trial.windows, trial.after
+    return findings, before
 
 
 def _misfits(before: Agreements, findings: list[Finding]) -> list[Finding]:

@@ -81,10 +81,9 @@ PLACES = {
 }  # fmt: skip
 DIRECTIONS = ("body_to_world", "world_to_body")
 KINDS = ("specific_force", "coordinate")
-TABLES, SELF_DESCRIBING = (
-    ("text", "hdf5", "parquet"),
-    ("csv", "ulog", "rosbag", "ardupilot", "betaflight"),
-)  # values of `format`
+# Values of `format`.
+TABLES = ("text", "hdf5", "parquet")
+SELF_DESCRIBING = ("csv", "ulog", "rosbag", "ardupilot", "betaflight")
 IN_BODY = ("rate", "acceleration")  # unless `frame` says otherwise
 _TOP = ("name", "about", "format", "signature", "world", "body", "time", "crop", "corrections", *QUANTITIES)
 _ENTRY = ("column", "columns", "unit", "scale", "frame", "time")

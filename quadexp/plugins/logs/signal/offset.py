@@ -230,8 +230,10 @@ def find_offsets(streams: Mapping[str, Stream]) -> dict[tuple[str, str], Offset]
 def aligned(streams: Mapping[str, Stream], offsets: Mapping[tuple[str, str], Offset]) -> dict[str, Stream]:
     """The streams that are late or early, on the clock of the others, by the offsets that are certain.
 
-    An offset does not say which of its two streams is late. Gyro and accelerometer are moved, unless the specific force
-    turned into the world fits the motion better with attitude, or position and velocity, moved in their place.
+    An offset does not say which of its two streams is late. Those of gyro and accelerometer that are behind are moved,
+    and where these are ahead, attitude, position and velocity: a stream can be late, but not early, and commands of the
+    motors are on the clock of the one that is not. Unless the specific force turned into the world fits the motion
+    better with others moved.
     """
     named = {name: offset for (name, _), offset in offsets.items() if offset.certain}
     first = [("position", named["position"], -1.0)] if "position" in named else []
@@ -247,7 +249,15 @@ def aligned(streams: Mapping[str, Stream], offsets: Mapping[tuple[str, str], Off
         made.append(_moved(streams, [*first, *moves]))
     misfits = [_misfit(one) for one in made]
     best = min(range(len(made)), key=misfits.__getitem__)
-    return made[best if misfits[best] < CLEARLY * misfits[0] else 0]
+    if misfits[best] < CLEARLY * misfits[0]:
+        return made[best]
+    known = [named[name].seconds for name in ("rate", "acceleration") if name in named]
+    if not known or max(known) > 0:
+        return made[0]
+    motion = [("attitude", 1.0)] if of_rate else []
+    motion += [("velocity", 1.0), ("position", 1.0)] if of_force else []
+    moves = [(name, named["rate" if name == "attitude" else "acceleration"], sign) for name, sign in motion]
+    return _moved(streams, [*first, *moves])
 
 
 def _moved(streams: Mapping[str, Stream], moves: list[tuple[str, Offset, float]]) -> dict[str, Stream]:
