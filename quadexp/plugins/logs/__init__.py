@@ -6,6 +6,7 @@ BRINGS = {
         "check": "quadexp.plugins.logs.commands:check",
         "identify": "quadexp.plugins.logs.learn_commands:identify",
         "validate": "quadexp.plugins.logs.learn_commands:validate",
+        "replay-test": "quadexp.plugins.logs.replay_command:replay_test",
     },
     "parts": {"from_model": "quadexp.plugins.logs.from_model"},
     "models": {"vehicle_model": "quadexp.plugins.logs.vehicle_model"},
