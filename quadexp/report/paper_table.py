@@ -13,6 +13,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
@@ -71,7 +72,7 @@ def paper_table(
     return _named(Table(columns, body, title, left=left, over=title, beside=n, notes=notes), names, metric)
 
 
-def _options(frame: SweepFrame) -> dict[str, object]:
+def _options(frame: SweepFrame) -> dict[str, Any]:
     """Baseline and confidence of the results."""
     return {"baseline": frame.record.get("baseline", "nominal_mpc"), "confidence": frame.record.get("confidence", 0.95)}
 
@@ -99,7 +100,7 @@ def _chosen(
 
 def _statistics(frame: SweepFrame, keys: Sequence[str], metric: str) -> dict[Place, Statistic]:
     """The statistic of each place that is one contestant in one condition."""
-    every = compute_statistics(frame.rows, metrics=(metric,), **_options(frame))  # type: ignore[arg-type]
+    every = compute_statistics(frame.rows, metrics=(metric,), **_options(frame))
     by_flight = {(s.contestant, s.plant, s.vehicle, s.trajectory, str(s.speed), s.setting): s for s in every}
     columns = [frame.controllers(keys) if key == "controller" else frame.column(key) for key in keys]
     flown = grouped((place, i) for i, place in enumerate(zip(*columns, strict=True)))
@@ -131,7 +132,7 @@ def _named(table: Table, names: Mapping[str, str], metric: str) -> Table:
             whole = rf"(?<![\w.]){re.escape(name)}(?![\w.])"
             if re.search(whole, text):
                 used.add(name)
-                text = re.sub(whole, lambda _, own=own: own, text)
+                text = re.sub(whole, own.replace("\\", r"\\"), text)
         return text
 
     n, notes = table.beside, [said(note) for note in table.notes]
