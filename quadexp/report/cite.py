@@ -6,7 +6,6 @@ cite: [sun2022, "Doe 2026, doi"]   several; other words become an entry of their
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -34,7 +33,8 @@ def bibtex(path: str | Path, conf: Folders = None) -> str:
     if kind not in ("flight", "results"):
         raise UsageError(f"{path}: is of kind {kind}; a flight or the results of a sweep can be cited")
     record, flights = read_flights(Path(path), kind)
-    given: list[Any] = [conf] if isinstance(conf, (str, os.PathLike)) else [*(conf or ())]
+    folders: Any = conf or ()
+    given = [folders] if isinstance(folders, (str, Path)) else list(folders)
     files = OptionFiles([*given, *(folder for folder in record.get("conf", ()) if Path(folder).is_dir())])
     known = _references(files)
     entries: dict[str, str] = {}

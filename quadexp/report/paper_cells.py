@@ -44,8 +44,7 @@ def cell_text(
     ended = f"{point.ended}/{point.trials}"
     if not point.is_shown:
         return ended if point.trials else "-"
-    mean, low, high = (factor * value for value in (point.mean, point.low, point.high))
-    text, interval = number_text(mean, low, high, intervals, digits)
+    text, interval = number_text(factor * point.mean, factor * point.low, factor * point.high, intervals, digits)
     if statistic is not None and statistic.best:
         text = f"**{text}**"
     star = "*" if statistic is not None and statistic.significant else ""

@@ -39,8 +39,6 @@ class Tracking(gymnasium.Env[np.ndarray, np.ndarray]):
     of the start: position (m), velocity (m/s), attitude (rad). episode: longest (s), None for the whole reference.
     Raises UsageError for a setting that is none, as the commands do."""
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}
-
     def __init__(
         self,
         overrides: Sequence[str] = (),
@@ -53,7 +51,6 @@ class Tracking(gymnasium.Env[np.ndarray, np.ndarray]):
         lost: float = 2.0,
         spread: Sequence[float] = (0.2, 0.3, 0.1),
         episode: float | None = None,
-        render_mode: str | None = None,
     ) -> None:
         if action not in ("thrusts", "rates"):
             raise UsageError(f"action={action}: must be one of thrusts, rates")
@@ -61,7 +58,6 @@ class Tracking(gymnasium.Env[np.ndarray, np.ndarray]):
             raise UsageError(
                 f"rate={rate:g}, future={future}, spacing={spacing:g}: 1 to 500 Hz, points after each other"
             )
-        self.render_mode = render_mode
         config = compose(list(overrides), conf, "gymnasium.make")
         with unshared():  # environments side by side are flights side by side
             self.vehicle = build_vehicle(config.vehicle)
@@ -117,22 +113,6 @@ class Tracking(gymnasium.Env[np.ndarray, np.ndarray]):
             self._x = self._reference[self._k].copy()
         ended = self._k >= self._steps or self._k - self._first >= self._episode
         return self._observation(), -1.0 if terminated else reward, terminated, ended and not terminated, self._info()
-
-    def render(self) -> np.ndarray | None:
-        """The reference and the vehicle from above, (300, 300, 3), red, green, blue."""
-        if self.render_mode is None:
-            return None
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-
-        figure = Figure((3, 3), 100)
-        panel = figure.subplots()
-        panel.set_aspect("equal")
-        panel.plot(*self._reference[: self._steps, :2].T, color="0.7")
-        panel.plot(*self._x[:2], "o")
-        canvas: Any = FigureCanvasAgg(figure)
-        canvas.draw()
-        return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
     def _advanced(self, action: np.ndarray) -> bool:
         """Fly for one period; False where the plant's equations have no answer."""

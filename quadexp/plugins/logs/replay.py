@@ -191,7 +191,9 @@ def logged_path(rows: FlightRows, predictor: Predictor, name: str) -> LoggedPath
     first, last = longest(joined) if joined.any() else (0, 0)
     t = samples.time[first : last + 1]
     if not t[-1] - t[0] >= SHORTEST:
-        raise DataError(f"{name}: its longest stretch without a gap takes {t[-1] - t[0]:.3g} s; {SHORTEST:g} are needed")
+        raise DataError(
+            f"{name}: its longest stretch without a gap takes {t[-1] - t[0]:.3g} s; {SHORTEST:g} are needed"
+        )
     at = slice(rows.first + first, rows.first + last + 1)
     flight = rows.flight
 

@@ -71,7 +71,7 @@ def test_an_observation_is_what_its_table_says():
 def test_gymnasium_finds_nothing_wrong(action, overrides):
     if "plant=rotorpy" in overrides:
         pytest.importorskip("rotorpy")
-    env = gymnasium.make("quadexp/Tracking-v0", overrides=overrides, action=action, render_mode="rgb_array")
+    env = gymnasium.make("quadexp/Tracking-v0", overrides=overrides, action=action)
     check_env(env.unwrapped)
 
 
