@@ -144,7 +144,7 @@ def test_rates_give_the_torque_of_the_thrusts() -> None:
     for _ in range(10_000):
         rate += step * gain * (wanted - rate)
     alpha = (rate - w) / 0.01  # in the mean
-    assert np.allclose(J @ alpha + np.cross(w, J @ w), vehicle.allocation[1:] @ thrusts, rtol=1e-5, atol=1e-7)
+    assert np.allclose(J @ alpha + np.cross(w, J @ w), vehicle.allocation[1:] @ thrusts, rtol=1e-4, atol=1e-4)
     for wrong in ("inverse", "inverse=1,2", "inverse=1,2,-3", "measured"):
         with pytest.raises(UsageError, match="--rates"):
             rate_gain(wrong)
