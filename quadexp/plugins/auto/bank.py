@@ -112,7 +112,7 @@ class Bank:
         filters[2, -1] = specific
         velocity = np.zeros((len(BANK.velocity_models) * AXES, layout.columns))
         velocity[:, 0] = np.tile(x[VELOCITY], len(BANK.velocity_models))
-        start = {"x": x, "lateral": self.stated**2, "filters": filters, "velocity": velocity}
+        start = {"x": x, "lateral": np.full(1, self.stated**2), "filters": filters, "velocity": velocity}
         start |= {"forces": np.tile([0.0, 0.0, specific], layout.readings), "rates": np.tile(x[RATE], layout.readings)}
         self.memory.begin(start | {"sent": self.every * thrust})
         self.sums.begin({})
