@@ -17,16 +17,21 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
+from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Window
+from quadexp.control.built import built
 from quadexp.control.delivered import SentCommands
 from quadexp.control.inputs import Circumstances
-from quadexp.control.instant import Instant, Operation, Told, copy, instant_of, python
+from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of, python
 from quadexp.control.layer import Layer
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.wrapped import WrappedController, air_of, parameters_of, thrust_at_start
 from quadexp.models.residual import Residual
 from quadexp.parts.sensor_sheet import SensorSheet, Stated
+from quadexp.physics.expression import dense_function, named_symbols
 from quadexp.physics.state import N_STATE
+from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.auto.ahead import Ahead
 from quadexp.plugins.auto.bank import Bank
 from quadexp.plugins.auto.decide import Decision, Senses, decide, known
@@ -43,6 +48,7 @@ KNOWN = (
     "rates_newer", "acts_age", "acts_dead_time", "acts_lag", "grid",
 )  # fmt: skip
 ACTS = "acts_lateral", "acts_vertical", "acts_torque"
+UNKNOWN = -1.0  # of what a decision has crossed: neither
 COLUMNS = tuple(f"auto_{name}" for name in (*KNOWN, *ACTS, *DEVIATIONS))
 
 
@@ -91,8 +97,14 @@ class Auto(WrappedController):
         self._apart = BANK.sheet_factor / INTERVAL.band * max(force.delay or 0.0, turn.delay or 0.0)
         self._apart += self._bank.period - period + max(period - INTERVAL.longest_period, 0.0)
         self._unsaid = turn.delay is None and bool(attitude.delay)
-        self._lately = max(2, round(DECISION.saturation_memory / period))
-        self._newer, self._soon, self._later = np.zeros(1), np.ones(1), np.zeros(1)
+        lately = commands.values[-max(2, round(DECISION.saturation_memory / period)) :].reshape(-1)
+        look = built(inner.backend, look_function, vehicle, self._bank.period, lately.size)
+        self._memory = Memory("Auto", sizes_of([look]))
+        places = {name: self._bank.part(name) for name in ("count", "weights", "noise")}
+        places |= {"commands": lately, "acts": self._filter.acts}
+        self._look = connected(look, places, {}, self._memory)
+        self._due, self._soon, self._later = (self._look.results[name] for name in ("due", "soon", "later"))
+        self._newer = np.zeros(1)
         self._beliefs, self._judged, self._begin = np.zeros(len(KNOWN)), False, Decision()
         self._decision, self._rows = Decision(), np.zeros(len(core.node_times))
         self._found: Posterior | None = None
@@ -123,8 +135,10 @@ class Auto(WrappedController):
         self._bank.reset(x, thrust)
         self._filter.reset(x)
         self._filter.timing[0] = self._begin.timing
-        self._found, self._next, self._saturates, self._unsure = None, DECISION.begins, 0.0, 0.0
-        self._soon[0], self._later[0] = 1.0, 0.0
+        self._found, self._unsure = None, 0.0
+        self._memory.begin({})
+        self._look.arguments["next"][0], self._look.arguments["known"][...] = DECISION.begins, UNKNOWN
+        self._due[0], self._soon[0], self._later[0] = 0.0, 1.0, 0.0
         self._beliefs[...] = [*[0.0] * 3, *[np.nan] * 6, *[0.0] * 5]
 
     @contextmanager
@@ -145,10 +159,7 @@ class Auto(WrappedController):
         of_rates = np.zeros(N_STATE)  # the state of the time of the rates, and from there on by the model
         propagated += [copy(of_rates, state), copy(of_rates, by_readings, self._newer)]
         predicted, now = self._to_now.before(of_rates)
-        operations = [
-            python(self._decide, when)._replace(every=max(2, round(each / self.control_period)))
-            for each, when in ((DECISION.soonest, self._soon), (DECISION.checks, self._later))
-        ]
+        operations = [] if self._judged else self._looks()
         operations += [*propagated, *predicted]
         if self.believes and (self._by_speeds or not self._judged):  # a push alone is evidence of a push
             compared, of_one_time, read = self._compared(told, now)
@@ -158,7 +169,7 @@ class Auto(WrappedController):
         after = [*self._bank.after(told, state, inner.command), *self._commands.after(inner.command)]
         logged = (*inner.logged, belief, self._beliefs, self._filter.acts, self._filter.deviations)
         memory = (*inner.memory, self._strapdown.memory, self._filter.memory, self._commands.memory)
-        memory = (*memory, self._bank.memory, self._bank.sums)
+        memory = (*memory, self._bank.memory, self._bank.sums, self._memory)
         return inner._replace(operations=[*operations, *inner.operations, *after], logged=logged, memory=memory)
 
     @property
@@ -186,34 +197,37 @@ class Auto(WrappedController):
         own = [*self._beliefs, *self._filter.acts, *self._filter.deviations]
         return {**self.inner.log(), **believed, **dict(zip(COLUMNS, map(float, own), strict=True))}
 
+    def _looks(self) -> list[Operation]:
+        """Look at the evidence so far, and decide where a decision may be another one than the last."""
+        operations = []
+        for each, when in ((DECISION.soonest, self._soon), (DECISION.checks, self._later)):
+            every = max(2, round(each / self.control_period))
+            operations += [
+                copy(self._filter.lateral, self._bank.part("lateral"), when)._replace(every=every),
+                copy(self._filter.noise, self._bank.part("noise"), when)._replace(every=every),
+                call(self._look, when)._replace(every=every),
+                python(self._decide, self._due)._replace(every=every),
+            ]
+        return operations
+
     def _decide(self) -> None:
-        """Look at the evidence so far, and act on it from this instant on."""
-        if self._judged:
-            return
-        bank = self._bank
-        elapsed = bank.elapsed
-        self._filter.lateral[...], self._filter.noise[...] = bank.part("lateral"), bank.part("noise")
-        self._soon[0] = elapsed < DECISION.early
-        self._later[0] = 1 - self._soon[0]
-        if elapsed >= self._next and bank.part("weights")[1]:
+        """Act on the evidence so far from this instant on."""
+        given, seen = self._look.arguments, self._look.results
+        self._due[0] = 0.0
+        elapsed = self._bank.elapsed
+        if elapsed >= given["next"][0] and self._bank.part("weights")[1]:
             self._found = self._evidence()
-            self._next = elapsed + min(max(DECISION.pace * elapsed, DECISION.soonest), DECISION.latest)
+            given["next"][0] = elapsed + min(max(DECISION.pace * elapsed, DECISION.soonest), DECISION.latest)
             self._report(self._found)
-        decision = decide(self._found, self._decision, self._senses())
+        decision = decide(self._found, self._decision, Senses(*seen["senses"].tolist()))
+        given["known"][...] = seen["crossed"]
         if decision != self._decision:
+            given["known"][...] = UNKNOWN  # the next one goes on from this one
             self._use(decision)
         late = 0.0 if self._found is None else abs(self._found.mean[0] - decision.age)  # age that does not act
         inexact = DECISION.inexact * (decision.age + decision.total)
         self._filter.apart[0] = math.hypot(self._unsure, late, inexact)
         self._beliefs[-4:] = decision.age, decision.dead_time, decision.lag, decision.grid
-
-    def _senses(self) -> Senses:
-        sent, low, high = self._commands.values[-self._lately :], self.vehicle.thrust_min, self.vehicle.thrust_max
-        saturated = float((np.abs(sent - (low + high) / 2) > DECISION.at_limit * (high - low) / 2).mean())
-        share = (DECISION.soonest if self._soon[0] else DECISION.checks) / DECISION.corners_memory
-        self._saturates += share * (saturated - self._saturates)
-        acts = bool(self._filter.acts.any())
-        return Senses(self._bank.position_noise, saturated, self._saturates, acts)
 
     def _use(self, decision: Decision) -> None:
         """Act on this from now on."""
@@ -232,3 +246,28 @@ class Auto(WrappedController):
         low, high = np.hypot(found.mean - found.lower, beside), np.hypot(found.upper - found.mean, beside)
         bounds = [*found.mean, *np.maximum(found.mean - low, 0.0), *(found.mean + high)]
         self._beliefs[: len(bounds) + 1] = *bounds, found.newer
+
+
+def look_function(vehicle: Vehicle, period: float, commands: int) -> ca.Function:
+    """Senses at a look, which limits of a decision they have crossed, and whether a decision is due: a posterior is, or
+    what is crossed is not as `known`, at the last decision. count, weights, noise: of the bank, whose period is told
+    (s). commands: the last ones (N). acts: of the disturbance. next: when a posterior is due (s of evidence)."""
+    s, kept = DECISION, f"{NOW}saturates"
+    shapes = {kept: 1, "count": 1, "weights": 3, "noise": 3, "commands": commands, "acts": 3, "next": 1, "known": 4}
+    a = named_symbols(ca.SX, shapes)
+    low, high = vehicle.thrust_min, vehicle.thrust_max
+    elapsed = ca.fmax(a["count"] * period - BANK.settling, 0)
+    soon = elapsed < s.early
+    off = ca.fabs(a["commands"] - (low + high) / 2)
+    saturated = ca.sum1(off > s.at_limit * (high - low) / 2) / commands
+    share = ca.if_else(soon, s.soonest, s.checks) / s.corners_memory
+    saturates = a[kept] + share * (saturated - a[kept])
+    position = ca.sqrt(ca.fmax(a["noise"][1], 0)) * (elapsed > BANK.measured_after)
+    acts = ca.mmax(a["acts"]) > 0
+    crossed = ca.vertcat(position > s.large_noise, saturated > s.saturated, saturates > s.saturates, acts)
+    due = ca.logic_and(elapsed >= a["next"], a["weights"][1] > 0)
+    results = {
+        f"{NEXT}saturates": saturates, "senses": ca.vertcat(position, saturated, saturates, acts), "crossed": crossed,
+        "due": ca.logic_or(due, ca.mmax(ca.fabs(crossed - a["known"])) > 0), "soon": soon, "later": 1 - soon,
+    }  # fmt: skip
+    return dense_function("look", a, results)

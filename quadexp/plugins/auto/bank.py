@@ -104,11 +104,6 @@ class Bank:
         """Standard deviation of a reading across the thrust (m/s^2), within what a data sheet may be wrong by."""
         return math.sqrt(self.part("lateral")[0])
 
-    @property
-    def position_noise(self) -> float:
-        """Standard deviation of the estimated position (m), as far as it is measured."""
-        return math.sqrt(max(self.part("noise")[1], 0.0)) * (self.elapsed > BANK.measured_after)
-
     def reset(self, x: np.ndarray, thrust: np.ndarray) -> None:
         """Begin a flight in the state x, (13,); this command, (n,) (N), has been sent for a long time."""
         specific, layout = thrust.sum() / self.vehicle.mass, self.layout
@@ -117,7 +112,7 @@ class Bank:
         filters[2, -1] = specific
         velocity = np.zeros((len(BANK.velocity_models) * AXES, layout.columns))
         velocity[:, 0] = np.tile(x[VELOCITY], len(BANK.velocity_models))
-        start = {"x": x, "lateral": self.stated**2, "filters": filters, "velocity": velocity}
+        start = {"x": x, "lateral": np.full(1, self.stated**2), "filters": filters, "velocity": velocity}
         start |= {"forces": np.tile([0.0, 0.0, specific], layout.readings), "rates": np.tile(x[RATE], layout.readings)}
         self.memory.begin(start | {"sent": self.every * thrust})
         self.sums.begin({})

@@ -79,7 +79,7 @@ class Evidence:
         given, found = self._coarse.arguments, self._coarse.results
         given["against"][...] = BANK.rates_odds
         self._coarse()
-        at_end, odds = found["at_end"] > 0, found["odds"].tolist()
+        at_end, (age_odds, total_odds) = found["at_end"] > 0, found["odds"].tolist()
         best = self._refined()
         if found["rates"] == BETWEEN:  # one more number fits what lies between the points of a coarse grid
             given["against"][BETWEEN] = NEVER
@@ -88,7 +88,7 @@ class Evidence:
             best = other if other["best"] > best["best"] else best
         mean, deviation, lower, upper = (best[name] for name in ("mean", "deviation", "lower", "upper"))
         upper[at_end] = np.inf
-        return Posterior(mean, deviation, lower, upper, *odds, best["newer"].item())
+        return Posterior(mean, deviation, lower, upper, age_odds, total_odds, best["newer"].item())
 
     def _refined(self) -> dict[str, np.ndarray]:
         """What the finer grid leaves around the mode of the coarse one, once its own mode is not on its edge."""
@@ -130,8 +130,9 @@ def grid_function(told: Told, fine: int) -> ca.Function:
     n_a, n_D, n_l, n_r = sizes
     models = {"gyro": GYROS, "velocity": len(BANK.velocity_models)} if whole else {"gyro": 1, "velocity": 1}
     commands, both = layout.commands + 3, 2 * layout.columns
-    shapes = {"gyro": (commands, models["gyro"] * commands), "thrust": (commands, commands), "attitude": (both, both)}
-    shapes |= {"velocity": (both, models["velocity"] * both), "noise": models["velocity"], "against": 3, "centre": 4}
+    shapes: dict[str, Any] = {"gyro": (commands, models["gyro"] * commands), "thrust": (commands, commands)}
+    shapes |= {"velocity": (both, models["velocity"] * both), "attitude": (both, both)}
+    shapes |= {"noise": models["velocity"], "against": 3, "centre": 4}
     a = named_symbols(ca.MX, shapes | {"weights": 3, "lateral": 1})
     reach = LARGEST if whole else STEPS
     low, high = ca.fmax(a["centre"] - reach, 0), ca.fmin(a["centre"] + reach, LARGEST)

@@ -223,6 +223,12 @@ def test_a_posterior_is_a_pure_function_of_the_moments(vehicle):
         assert all(np.array_equal(one, two) for one, two in zip(first, again, strict=True))
 
 
+def test_a_posterior_in_c_is_that_of_the_virtual_machine(vehicle):
+    bank = flown(vehicle, age=0.012, dead_time=0.01, lag=0.02, steps=100)
+    for one, two in zip(posterior(bank), Evidence(bank, "compiled")(), strict=True):
+        assert two == pytest.approx(one, rel=1e-9)
+
+
 @pytest.mark.parametrize("age", [0.0, 0.004, 0.013, 0.02])
 def test_the_mean_between_readings_is_that_of_a_line(rng, age):
     readings, fine = rng.normal(size=8), np.arange(4000) / 4000
