@@ -51,7 +51,7 @@ SHORTEST = 4.0  # s of a log
 NOISE_BAND = (0.2, 5.0)  # Hz: offsets lie below, the noise of the sensors above
 BETTER = 0.95  # of what no torque leaves: a torque that leaves more explains nothing
 REPORT_FILE = "replay.json"
-OF_THE_TEST = ("plant", "trajectory")  # groups that the log and the model decide
+OF_THE_TEST = ("plant", "trajectory", "seed")  # what the log, the model and the member decide
 
 
 class LoggedPath(NamedTuple):
@@ -153,7 +153,7 @@ def _refuse_groups(words: Sequence[str]) -> None:
     for word in words:
         key = word.partition("=")[0]
         if key.partition(".")[0] in OF_THE_TEST and key != "trajectory.smooth":
-            raise UsageError(f"replay-test: {word}: the log and the model decide this; trajectory.smooth can be given")
+            raise UsageError(f"replay-test: {word}: the log and the model decide this; only trajectory.smooth is free")
 
 
 def _late(dead_time: float, lag: float, words: Sequence[str]) -> list[str]:
@@ -194,7 +194,9 @@ def logged_path(rows: FlightRows, predictor: Predictor, name: str) -> LoggedPath
     first, last = longest(joined) if joined.any() else (0, 0)
     t = samples.time[first : last + 1]
     if not t[-1] - t[0] >= SHORTEST:
-        raise DataError(f"{name}: its longest stretch without a gap takes {t[-1] - t[0]:.3g} s; {SHORTEST:g} are needed")
+        raise DataError(
+            f"{name}: its longest stretch without a gap takes {t[-1] - t[0]:.3g} s; {SHORTEST:g} are needed"
+        )
     at = slice(rows.first + first, rows.first + last + 1)
     flight = rows.flight
 

@@ -79,7 +79,12 @@ def summary(members: Sequence[Sequence[Row]]) -> list[Row]:
     table = []
     for rows in zip(*members, strict=True):
         replays = np.array([row["replay"] for row in rows])
-        row = {**rows[0], "replay": float(np.median(replays)), "low": float(replays.min()), "high": float(replays.max())}
+        row = {
+            **rows[0],
+            "replay": float(np.median(replays)),
+            "low": float(replays.min()),
+            "high": float(replays.max()),
+        }
         if row["difference"] is not None:
             row["difference"] = float(np.median([each["difference"] for each in rows]))
         if row["log"]:
@@ -203,7 +208,9 @@ def replay_figure(path: LoggedPath, flights: Sequence[Flight], vehicle: Vehicle,
     thrust.plot(path.t, path.rotors.sum(axis=1), **black)
     rate.plot(path.t, path.rate[:, 0], **black)
     above.plot(path.position[:, 0], path.position[:, 1], **black)
-    error.set(xlabel="t (s)", ylabel="position error (m)" if path.target is not None else f"{APART} (m)", ylim=(0, None))
+    error.set(
+        xlabel="t (s)", ylabel="position error (m)" if path.target is not None else f"{APART} (m)", ylim=(0, None)
+    )
     thrust.set(xlabel="t (s)", ylabel="collective thrust / mass (m/s²)")
     rate.set(xlabel="t (s)", ylabel="w_x (rad/s)")
     above.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")

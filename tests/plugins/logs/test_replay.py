@@ -1,4 +1,4 @@
-"""The replay test on simulated flights: what it predicts is what the true plant does, and what it cannot tell it says."""
+"""The replay test on simulated flights: it predicts what the true plant does, and says what it cannot tell."""
 
 from pathlib import Path
 
