@@ -21,7 +21,7 @@ HEADING = "Learn"
 Flights = Annotated[tuple[Path, ...], Ask("Of `quadexp import` or `simulate`.", "FLIGHT")]
 
 # ------------------------------------------------------------------------------------------------------- identification
-Method = Literal["rls", "regression", "delays"]
+Method = Literal["rls", "regression", "delays", "torque"]
 CURVES = {"auto": None, "s": (1,), "s2": (2,), "s+s2": (1, 2)}
 CURVE = "Terms of the thrust curve on motor commands; auto: chosen on flights left out, with the voltage."
 # Options that not every method has.
@@ -48,12 +48,14 @@ def identify(
     --method rls: recursive least squares, flight by flight, for flights with rotor speeds of a vehicle whose rotors are
     known; gives time series of C_d0, C_la and C_D, one file a flight. --method regression: all other flights together;
     gives a vehicle model, a folder that collect, validate and evaluate read. --method delays: age of the estimate, dead
-    time of the commands and lag of the motors, with the settings to give; writes nothing but --figure.
+    time of the commands and lag of the motors, with the settings to give; writes nothing but --figure. --method torque:
+    gain of the rotors' torque beside the vehicle file, and what it explains on flights left out; writes nothing.
 
     \b
     quadexp identify flights/a.parquet flights/b.parquet --out models/crazyflie
     quadexp identify runs/a.parquet --out data/estimates        # simulated with vehicle=lei_li plant=blade_element
     quadexp identify --method delays runs/a.parquet
+    quadexp identify --method torque flights/a.parquet flights/b.parquet
     """
     from quadexp.plugins.logs import requests
 
@@ -66,6 +68,8 @@ def identify(
     if taken == "delays":
         rows = [{**flight, "overrides": " ".join(flight["overrides"])} for flight in report["flights"]]
         return Answer({"method": taken, "flights": report["flights"]}, rows, report["lines"])
+    if taken == "torque":
+        return Answer(record, report["axes"], report["lines"])
     if taken == "rls":
         rows = [row for flight in report["flights"] for row in _of_flight(flight)]
         return Answer(record, rows, report["lines"])
@@ -80,7 +84,7 @@ def _accepted(context: typer.Context, method: str, reason: str) -> None:
         source = context.get_parameter_source(str(option.name))
         if having and method not in having and source is not None and source.name == "COMMANDLINE":
             raise UsageError(f"identify {option.opts[0]}: is for --method {' or '.join(having)}, not {method}")
-    if method != "delays":
+    if method not in ("delays", "torque"):
         say(f"{method}: {reason}")
 
 

@@ -6,7 +6,8 @@
               of the fit, and for linear drag the spread of the flights that it was fitted to; the noise in each
 
 The noise is what the model leaves on the log. With S(f) the two-sided power spectral density of e = f - f_model, the
-thrust scale tracked, and of the torque e = J w' + w x J w - G u,
+thrust scale tracked, f once as the accelerometer reads it and once as R^T (dv/dt + g) (each has a measuring error of
+its own, so the lesser counts), and of the torque e = J w' + w x J w - G u,
 
     density = sqrt(mean of S over NOISE_BAND), of the force times m         N / sqrt(Hz), N m / sqrt(Hz)
 
@@ -24,6 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
+from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
@@ -39,7 +41,7 @@ from quadexp.parts.schema import Config, controller_name
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.logs import validation
 from quadexp.plugins.logs.recorded import tracked_scale
-from quadexp.plugins.logs.validation import POINT, Predictor
+from quadexp.plugins.logs.validation import POINT, WORLD_VELOCITY, Predictor
 from quadexp.plugins.logs.vehicle_model import VehicleModel
 from quadexp.provenance import provenance, versions
 from quadexp.writer import check_output, write_text
@@ -47,8 +49,9 @@ from quadexp.writer import check_output, write_text
 SMOOTH = 0.3  # s between the knots of the path's spline
 SHORTEST = 4.0  # s of a log
 NOISE_BAND = (0.2, 5.0)  # Hz: offsets lie below, the noise of the sensors above
+BETTER = 0.95  # of what no torque leaves: a torque that leaves more explains nothing
 REPORT_FILE = "replay.json"
-OF_THE_TEST = ("plant", "trajectory")  # groups that the log and the model decide
+OF_THE_TEST = ("plant", "trajectory", "seed")  # what the log, the model and the member decide
 
 
 class LoggedPath(NamedTuple):
@@ -150,7 +153,7 @@ def _refuse_groups(words: Sequence[str]) -> None:
     for word in words:
         key = word.partition("=")[0]
         if key.partition(".")[0] in OF_THE_TEST and key != "trajectory.smooth":
-            raise UsageError(f"replay-test: {word}: the log and the model decide this; trajectory.smooth can be given")
+            raise UsageError(f"replay-test: {word}: the log and the model decide this; only trajectory.smooth is free")
 
 
 def _late(dead_time: float, lag: float, words: Sequence[str]) -> list[str]:
@@ -253,19 +256,32 @@ def noise_of(rows: FlightRows, predictor: Predictor, vehicle: Vehicle) -> Noise:
     rotors = predictor.curve.of_signal(samples.signal, samples.voltage)
     collective = rotors.sum(axis=1)
     error = samples.force - predictor.beyond(samples.velocity, rows.rate, rotors)
-    error[:, 2] -= tracked_scale(collective, error[:, 2], rows.dt) * collective
-    force = vehicle.mass * _density(error, rows)
+    scale = tracked_scale(collective, error[:, 2], rows.dt)
+    error[:, 2] -= scale * collective
+    ahead = samples.during(rotors)
+    mean_rotors = ahead[:-1] if samples.held.all() else (ahead[:-1] + ahead[1:]) / 2
+    moved = _force_of_motion(rows, vehicle.gravity)
+    moved -= predictor.beyond((samples.velocity[:-1] + samples.velocity[1:]) / 2, rows.rate[:-1], mean_rotors)
+    moved[:, 2] -= scale[:-1] * mean_rotors.sum(axis=1)
+    force = vehicle.mass * min(_density(error, rows), _density(moved, rows))
     if rotors.shape[1] != vehicle.n_rotors or predictor.curve.signal == "thrust_acceleration":
         return Noise(force, 0.0, False)
-    thrust = vehicle.mass * samples.during(rotors)
-    mean_thrust = thrust[:-1] if samples.held.all() else (thrust[:-1] + thrust[1:]) / 2
+    mean_thrust = vehicle.mass * mean_rotors
     rate = (rows.rate[:-1] + rows.rate[1:]) / 2
     needed = np.diff(rows.rate, axis=0) / rows.dt @ vehicle.inertia_matrix
     needed += np.cross(rate, rate @ vehicle.inertia_matrix)
     left = needed - mean_thrust @ vehicle.allocation[1:].T
     torque, without = _density(left[:, :2], rows), _density(needed[:, :2], rows)
-    shows = torque < without
+    shows = torque < BETTER * without
     return Noise(force, torque if shows else 0.0, shows)
+
+
+def _force_of_motion(rows: FlightRows, gravity: float) -> np.ndarray:
+    """R^T (dv/dt + g) from each sample to the next, (k - 1, 3), body (m/s^2)."""
+    velocity = rows.flight.stack(WORLD_VELOCITY)[rows.first :]
+    attitude = Rotation.from_quat(rows.flight.stack(QUATERNION)[rows.first :], scalar_first=True)
+    world = np.diff(velocity, axis=0) / rows.dt + [0.0, 0.0, gravity]
+    return (attitude[:-1].apply(world, inverse=True) + attitude[1:].apply(world, inverse=True)) / 2
 
 
 def _density(error: np.ndarray, rows: FlightRows) -> float:

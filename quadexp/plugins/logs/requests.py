@@ -38,6 +38,10 @@ def identify(
         from quadexp.plugins.logs.delays import identify_delays
 
         return {"method": "delays", **identify_delays(flights, named, conf, figure)}
+    if choice.method == "torque":
+        from quadexp.plugins.logs.torque import identify_torque
+
+        return {"method": "torque", **identify_torque(flights, named, conf)}
     if choice.method == "rls":
         estimates = identify_files(flights, out, vehicle=vehicle, conf=conf, force=force)
         records = [{"path": path, **estimate.metadata()} for path, estimate in estimates]
