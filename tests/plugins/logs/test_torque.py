@@ -87,7 +87,7 @@ def test_the_vehicle_file_is_right_about_a_simulated_flight(tmp_path):
 
     words = [
         "trajectory=random", "trajectory.speed=6", "controller=geometric", "plant.quadratic_drag=[0,0,0]",
-        "plant.motor_loss=0", "plant.motor_noise_density=2e-3",
+        "plant.motor_loss=0", "plant.motor_noise_density=0", "plant.torque_noise_density=0",
     ]  # fmt: skip
     files = [tmp_path / f"{seed}.parquet" for seed in (1, 2)]
     for seed, file in enumerate(files):
