@@ -247,7 +247,7 @@ def judged(data: Sequence[Turning], vehicle: Vehicle) -> dict[str, Any]:
     """See `identify_torque`."""
     arms = np.abs(vehicle.allocation[1:]).mean(axis=1)
     inverse = 1 / np.diag(vehicle.inertia_matrix)
-    axes = []
+    axes: list[dict[str, Any]] = []
     for axis, name in enumerate(AXES):
         model, half = equation_error(data, axis, LOW)
         gain, by_file = arms[axis] * model.theta[0], arms[axis] * inverse[axis]
