@@ -277,7 +277,7 @@ def export(
     if to not in FORMATS:
         of_model = f"; a model or a vehicle as {others}" if others else ""
         raise UsageError(f"--to {to}: no such format; a flight is written as {', '.join(FORMATS)}{of_model}")
-    if source.startswith("vehicle=") or Path(source).is_dir():
+    if source.startswith("vehicle=") or (Path(source) / "model.json").is_file():
         raise UsageError(f"--to {to}: is for flights; {source} is none: {others or 'no plug-in writes it'}")
     for name, value in options.items():
         if value is not None:

@@ -51,6 +51,7 @@ def hydra_composes(overrides):
         composed.pop(name, None)
     for group in PARTS:
         composed[group].pop("look", None)
+        composed[group].pop("cite", None)
         part = part_class(group, composed[group].pop("_target_"))
         composed[group] = over(plain(part), {"name": chosen[group]} | composed[group])
     whole = over({"evaluate": plain(EvaluateConfig), "model": None, "seed": 0, "sweep": None}, composed)
@@ -217,7 +218,7 @@ MISTAKES = {
     "trajectory.sped=3": r"trajectory.sped: no such key; did you mean trajectory.speed\?",
     "controler=gp_mpc": r"controler: no such key; did you mean controller\?",
     "controller=gpmpc": r"controller=gpmpc: no such controller; did you mean gp_mpc\?",
-    "controller=zzz": "no such controller; there are: .*gp_mpc, .*nominal_mpc",
+    "controller=zzz": "no such controller; there are: .*gp_mpc, .*neural_mpc",
     "experiment=nope": "no such experiment; there are: adaptation, auto, ",
     "zzzz=3": "zzzz: no such key; there are:",
     "mass=1": r"mass: no such key; did you mean vehicle.mass or truth.mass\?",

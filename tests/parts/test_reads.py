@@ -20,6 +20,7 @@ WORDS = {
     "simulate": ["simulate"], "evaluate": ["evaluate"], "evaluate --sweep": ["evaluate", "--sweep"], "tune": ["tune"],
     "bench": ["bench"], "collect": ["collect"], "collect --sweep": ["collect", "--sweep"],
     "collect --flight": ["collect", "--flight", "{flight}"], "fit": ["fit", "neural", "no_data"],
+    "export-controller": ["export-controller"], "fly": ["fly", "udp:127.0.0.1:9"],
     "validate": ["validate", "m", "--flights", "{flight}"], "show --margins": ["show", "--margins", "{flight}"],
 }  # fmt: skip
 
@@ -32,7 +33,7 @@ def flight(tmp_path_factory):
 
 
 def test_every_command_is_here_and_every_key_is_read_by_one():
-    assert {*WORDS, "qx.controller", "bench --controller"} == {*READS}
+    assert {*WORDS, "qx.controller", "bench --controller", "gymnasium.make"} == {*READS}
     for text in TEXTS:
         assert any(is_read(text.partition("=")[0], command) for command in READS), text
 

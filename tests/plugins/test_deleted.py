@@ -1,6 +1,7 @@
 """The folder of any plug-in can be deleted: the program flies, lists and refuses without it, and the core learns,
 flies a sweep and reports without all of them."""
 
+import re
 import shutil
 import sys
 
@@ -40,8 +41,8 @@ def test_the_program_flies_without_it(name, checkout):
     assert done.returncode == 0, done.stderr
     listed = command("--help").stdout
     brings = sys.modules[f"quadexp.plugins.{name}"].BRINGS.get("commands", {})
-    assert all(f" {word} " in listed for word in BRINGS["commands"])
-    assert not any(f" {word} " in listed for word in brings)
+    commands = set(re.findall(r"^  ([a-z-]+) ", listed, re.MULTILINE))
+    assert commands >= set(BRINGS["commands"]) and not commands & set(brings)
     for word in list(brings)[:1]:
         refused = command(word, "x")
         assert refused.returncode == 2 and refused.stderr.count("\n") == 1 and word in refused.stderr, refused.stderr

@@ -88,7 +88,7 @@ class TestFifteenOfTwentyNotFlown:
         assert table.rows[0] == ["flown", "", "20 of 20", "20 of 20", "20 of 20", "5 of 20"]
         statistics = compute_statistics(rows, metrics=["mean_error"])
         assert table.rows[1][2:] == list(map(cell_text, statistics)) and "**" not in table.markdown()
-        assert f"own {mean(rows, 'nominal_mpc', range(20)):.1f} of 20" in table.rows[1][2]
+        assert f"(all 20: {mean(rows, 'nominal_mpc', range(20)):.1f})" in table.rows[1][2]
         for s in statistics:
             flown = 5 if s.controller == "gp_mpc" else 20
             assert s.common == 5 and 1e3 * s.common_mean == pytest.approx(mean(rows, s.controller, range(5)))
@@ -171,7 +171,7 @@ def test_paths_of_worlds_are_columns_and_the_fastest_of_each_is_drawn():
     asked = [(plant, speed) for plant in ("simplified", "simplified/wind=constant") for speed in (4.0, 8.0)]
     rows = [row("gp_mpc", plant=plant, speed=speed) for plant, speed in asked]
     grid = path_grids(rows)["circle"]
-    assert [condition for _, condition in grid.cells] == ["8 m/s, simplified", "8 m/s, wind constant"]
-    assert grid.left_out == ["4 m/s, simplified", "4 m/s, wind constant"]
+    assert [condition for _, condition in grid.cells] == ["8 m/s, simplified", "8 m/s, simplified/wind constant"]
+    assert grid.left_out == ["4 m/s, simplified", "4 m/s, simplified/wind constant"]
     many = path_grids([row("gp_mpc", speed=speed) for speed in (2.0, 4.0, 6.0, 8.0)])["circle"]
     assert len(many.cells) == 3 and many.left_out == ["4 m/s"]

@@ -26,7 +26,7 @@ from quadexp.models.residual import Residual
 from quadexp.physics.vehicle import Vehicle
 
 SOURCE = Path(__file__).with_name("stages.c")
-KERNELS = ("riccati_backward.c", "active_set.c")  # included there
+KERNELS = ("riccati_scalar.c", "riccati_backward.c", "active_set.c")  # included there
 PRELUDE = """#ifndef REAL
 #define REAL double
 #endif

@@ -21,7 +21,7 @@ import json
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -41,6 +41,7 @@ from quadexp.parts.schema import Config, controller_name
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.logs import validation
 from quadexp.plugins.logs.recorded import tracked_scale
+from quadexp.plugins.logs.replay_log import LoggedPath, Noise
 from quadexp.plugins.logs.validation import POINT, WORLD_VELOCITY, Predictor
 from quadexp.plugins.logs.vehicle_model import VehicleModel
 from quadexp.provenance import provenance, versions
@@ -52,29 +53,6 @@ NOISE_BAND = (0.2, 5.0)  # Hz: offsets lie below, the noise of the sensors above
 BETTER = 0.95  # of what no torque leaves: a torque that leaves more explains nothing
 REPORT_FILE = "replay.json"
 OF_THE_TEST = ("plant", "trajectory", "seed")  # what the log, the model and the member decide
-
-
-class LoggedPath(NamedTuple):
-    """The longest stretch of a log without a gap. t: (k,), s, from zero. position: (k, 3), m. target: (k, 3), its
-    reference, None where the log has none. yaw: (k,), of the reference, else as flown (rad). rate: (k, 3), rad/s.
-    rotors: thrusts per mass as commanded, (k, n), m/s^2. wind: mean speed (m/s), None where the log does not say."""
-
-    t: np.ndarray
-    position: np.ndarray
-    target: np.ndarray | None
-    yaw: np.ndarray
-    rate: np.ndarray
-    rotors: np.ndarray
-    wind: float | None
-
-
-class Noise(NamedTuple):
-    """Spectral densities, N/sqrt(Hz) and N m/sqrt(Hz). shows_torque: whether the rotors' torque explains the turning
-    better than none."""
-
-    force: float
-    torque: float
-    shows_torque: bool
 
 
 def replay_test(

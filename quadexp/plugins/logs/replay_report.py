@@ -21,7 +21,7 @@ from quadexp.models.samples import RATES
 from quadexp.parts.schema import Config
 from quadexp.physics.state import norms, root_mean_square
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.logs.replay import LoggedPath, Noise
+from quadexp.plugins.logs.replay_log import LoggedPath, Noise
 from quadexp.plugins.logs.validation import POINT, Predictor
 from quadexp.report.style import Figure, shaded, styled
 from quadexp.report.table import Table

@@ -79,7 +79,8 @@ def decoded(path: Path, notes: list[str]) -> tuple[dict[str, Any], Numbers]:
         rows = [frame.data[: len(names)] for frame in parser.frames() if frame.type.value in "IP"]
         header = dict(parser.headers)
     except Exception as error:  # damage raises what it likes
-        raise DataError(f"{path}: damaged ({type(error).__name__}: {first_line(error)})") from None
+        cause = f"{type(error).__name__}: {first_line(error)}"
+        raise DataError(f"{path}: damaged ({cause}); `blackbox_decode LOG.BBL` may make a table of the rest") from None
     wanted = ("time", "gyroADC", "accSmooth", "motor[", "eRPM", "vbatLatest", "imuQuaternion")
     fields: Numbers = {}
     for place, name in enumerate(names):
