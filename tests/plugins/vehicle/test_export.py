@@ -31,13 +31,22 @@ WINDY = (*OBSERVING, "wind=gust", "trajectory=circle", "trajectory.speed=4", *QU
 CASES = {"mpc": MPC, "law": LAW, "observing": WINDY}
 
 
+class Exports(dict[str, Path]):
+    """An export of every case, made when it is first asked for."""
+
+    def __init__(self, place: Path) -> None:
+        super().__init__()
+        self._place = place
+
+    def __missing__(self, name: str) -> Path:
+        self[name] = self._place / name
+        export_controller(CASES[name], self[name])
+        return self[name]
+
+
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """An export of every case."""
-    made = {name: tmp_path_factory.mktemp(name) / "c" for name in CASES}
-    for name, folder in made.items():
-        export_controller(CASES[name], folder)
-    return made
+    return Exports(tmp_path_factory.mktemp("exports"))
 
 
 def run(folder: Path, target: str = "test", **variables: str) -> subprocess.CompletedProcess[str]:
