@@ -18,6 +18,7 @@ import struct
 import subprocess
 import sys
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -169,9 +170,7 @@ def main() -> None:
     given = parser.parse_args()
     if shutil.which(COMPILER) is None:
         sys.exit(f"skipped: no {COMPILER} here")
-    try:
-        import unicorn  # noqa: F401 - whether it is there
-    except ImportError:
+    if find_spec("unicorn") is None:
         sys.exit("skipped: the package unicorn is not installed")
     print(f"{'controller':28} {'step':>10} {'worst':>10} {'first':>10} {'flash':>8} {'ram':>8} {'stack':>7}  off (N)")
     for folder in given.folders:

@@ -1,4 +1,4 @@
-"""Sums of products of what is told and sent over a flight, from which delays are found (timing).
+"""Sums of products of measurements and commands over a flight, from which `timing` finds delays.
 
 All that is compared is linear in numbers of the sample, z, with weights that depend on the delays only. So of all
 samples only M = sum z z' has to be kept, and what any delays leave is b' M b: every candidate costs the same, however

@@ -193,7 +193,7 @@ def _draw_line(
     each: list[Any] = [(slice(None), label, look)]
     if view.x.key == "controller" and not view.by:  # each with the look that it has everywhere
         look_of = looks([str(value) for value in view.x.values])
-        look_of = {name: replace(worn, own=view.colours.get(name, "")) for name, worn in look_of.items()}
+        look_of = {name: replace(usual, own=view.colours.get(name, "")) for name, usual in look_of.items()}
         each = [([i], "", look_of[str(value)].points()) for i, (value, _) in enumerate(there)]
     for some, name, drawn in each:
         yerr = bars[:, some] if np.isfinite(bars[:, some]).any() else None

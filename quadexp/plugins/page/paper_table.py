@@ -41,7 +41,7 @@ def paper_table(
     digits: int | None = None,
 ) -> Table:
     """A table of one metric, or of "success". rows, columns: keys down and across; None to choose by what was swept.
-    names: texts of one's own for the metric, keys and values.
+    names: other texts for the metric, keys and values.
 
     Raises UsageError for a key that is none, and a name of nothing in the table."""
     if intervals == "pm" and metric == SUCCESS:
@@ -80,8 +80,8 @@ def _options(frame: SweepFrame) -> dict[str, Any]:
 def _chosen(
     frame: SweepFrame, rows: Sequence[str] | None, columns: Sequence[str] | None
 ) -> tuple[list[str], list[str]]:
-    """Keys down and across. What was swept of who flies and is in neither goes across, or else down: the mean of two
-    contestants is the error of none."""
+    """Keys down and across. A swept setting of the controller that is in neither goes across, or else down: a mean over
+    two controllers would be the error of neither."""
     down, across = checked_keys(frame, rows or ()), checked_keys(frame, columns or ())
     twice = [key for key in (*down, *across) if (*down, *across).count(key) > 1]
     if twice:
@@ -124,7 +124,7 @@ def _text(key: str, value: object) -> str:
 
 
 def _named(table: Table, names: Mapping[str, str], metric: str) -> Table:
-    """The table with texts of one's own: for the metric, a whole heading or label, or a word of one."""
+    """The table with other texts: for the metric, a whole heading or label, or a word of one."""
     used: set[str] = set()
 
     def said(text: str) -> str:

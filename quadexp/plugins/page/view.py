@@ -160,7 +160,7 @@ class View:
     colours: Mapping[str, str] = field(default_factory=dict)
 
     def named(self, names: Mapping[str, str]) -> View:
-        """The same with texts of one's own for the metric, keys, and values of keys, such as {"gp_mpc": "GP"}.
+        """The same with other texts for the metric, keys, and values of keys, such as {"gp_mpc": "GP"}.
 
         Raises UsageError for a name of none of these."""
         known = {self.y, *self.keys, *self._texts()}
@@ -170,7 +170,7 @@ class View:
         return replace(self, names=names, x=replace(self.x, names=names))
 
     def coloured(self, colours: Mapping[str, str]) -> View:
-        """The same with colours of one's own for values of keys, such as {"gp_mpc": "#004fc3"}.
+        """The same with other colours for values of keys, such as {"gp_mpc": "#004fc3"}.
 
         Raises UsageError for a value of none of the lines."""
         known = self._texts()
