@@ -84,7 +84,7 @@ class Auto(WrappedController):
         air, theta = air_of(core), parameters_of(core)
         noise, spans = (force.noise, turn.noise, attitude.noise), (force.within(period), turn.within(period))
         self._bank = Bank(vehicle, air, theta, period, inner.backend, noise, spans)
-        self._evidence = Evidence(self._bank, "interpreted")  # 1.5 ms twice a second; to compile it takes 25 s
+        self._evidence = Evidence(self._bank, inner.backend)
         predictive, self.believes = isinstance(core, PredictiveController), hasattr(core, "believed_numbers")
         self._by_speeds, wind = predictive and speeds_tell(vehicle, sheet), WindObserver()
         bandwidth = wind_bandwidth(vehicle, air, theta, wind, period) if predictive else 0.0

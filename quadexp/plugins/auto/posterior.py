@@ -16,11 +16,14 @@ hypotheses, then a finer one around a mode, which moves while its mode is on its
 
 from __future__ import annotations
 
+import ctypes
+from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.backend import BufferedFunction, CFunction, linked_library
 from quadexp.compile.symbolic import ca
 from quadexp.control.built import built
 from quadexp.control.delivered import INSTANT
@@ -30,6 +33,7 @@ from quadexp.plugins.auto.responses import command_weights, reading_weights, tai
 from quadexp.plugins.auto.settings import BANK
 from quadexp.plugins.remedies.observers.filters import inverse
 
+SOURCE = Path(__file__).with_name("posterior.c")
 LATE, PROMPT, BETWEEN = range(3)
 STEPS = np.array([BANK.age_step, BANK.total_step, BANK.lag_step, BANK.age_step])  # of a, D, l, r (s)
 LARGEST = np.array([BANK.largest_age, BANK.largest_dead_time + BANK.largest_lag, BANK.largest_lag, BANK.largest_age])
@@ -71,8 +75,8 @@ class Evidence:
         self._moments, known = bank.moments, {name: bank.part(name) for name in ("weights", "lateral")}
         beside = {name: side_by_side(bank.moments[name]) for name in ("thrust", "attitude")}
         models = {name: side_by_side(bank.moments[name]) for name in ("gyro", "velocity")}
-        self._coarse = BufferedFunction(built(backend, grid_function, told, 1), known | beside | models)
-        self._fine = BufferedFunction(built(backend, grid_function, told, BANK.fine), known | beside)
+        self._coarse = grid_posterior(backend, told, 1, known | beside | models)
+        self._fine = grid_posterior(backend, told, BANK.fine, known | beside)
         self._coarse.arguments["noise"][...] = BANK.velocity_models
 
     def __call__(self) -> Posterior:
@@ -104,6 +108,57 @@ class Evidence:
             if (np.abs(left["mode"] - given["centre"]) < STEPS - INSTANT).all():
                 break
         return {name: values.copy() for name, values in left.items()}
+
+
+def grid_posterior(backend: str, told: Told, fine: int, shared: dict[str, np.ndarray]) -> BufferedFunction:
+    """See grid_function: in C, or as equations in the virtual machine of CasADi."""
+    if backend == "compiled":
+        return Kernel(told, fine, shared)
+    return BufferedFunction(built(backend, grid_function, told, fine), shared)
+
+
+class Kernel(BufferedFunction):
+    """A posterior of `grid_function` in C, posterior.c, on the same arrays."""
+
+    def __init__(self, told: Told, fine: int, shared: dict[str, np.ndarray]) -> None:
+        super().__init__(built("interpreted", grid_function, told, fine), shared)
+        code = getattr(ctypes.PyDLL(str(kernel_library(told))), self.function.name())
+        places = [
+            np.array([array.ctypes.data for array in arrays.values()], np.uintp)
+            for arrays in (self.arguments, self.results)
+        ]
+        self.for_c = CFunction(code, *places, np.zeros(1, np.int64), np.zeros(1))
+        code.argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_int]
+        self._trigger = partial(code, *(array.ctypes.data for array in self.for_c.arrays), 0)
+
+
+def kernel_library(told: Told) -> Path:
+    """posterior.c with its settings before it, compiled unless the cache has it."""
+    return linked_library("posterior", (kernel_source(told), ()))
+
+
+def kernel_source(told: Told) -> str:
+    """posterior.c for these settings, complete."""
+    layout, whole, steps = Layout(told.period), (LARGEST / STEPS).round().astype(int) + 1, 2 * BANK.fine + 1
+    times = 2 * whole[0] - 1 + max(whole[1], steps)
+    counts = {
+        "COMMANDS": layout.commands, "READINGS": layout.readings, "GYROS": GYROS,
+        "VELOCITIES": len(BANK.velocity_models), "FINE": BANK.fine, "SIDE": max(*whole, steps),
+        "SIDES": 2 * max(*whole, steps), "MOST": times * max(whole[2], steps),
+    }  # fmt: skip
+    numbers: dict[str, float] = {f"STEP_{name}": step for name, step in zip("ADL", STEPS.tolist(), strict=False)}
+    numbers |= {f"LARGEST_{name}": most for name, most in zip("ADL", LARGEST.tolist(), strict=False)}
+    numbers |= {"PERIOD": told.period, "INSTANT": INSTANT, "NEVER": NEVER, "LARGEST_DEAD_TIME": BANK.largest_dead_time}
+    numbers |= dict(zip(("SPAN_FORCE", "SPAN_RATE"), told.spans, strict=True))
+    numbers |= dict(zip(("TURN_NOISE", "ATTITUDE_NOISE"), told.turn_noise, strict=True))
+    names = (
+        "mean_delay", "scale_deviation", "inertia_deviation", "bias_deviation", "rate_bias_deviation", "floor",
+        "least_information", "most_information",
+    )  # fmt: skip
+    numbers |= {name.upper(): getattr(BANK, name) for name in names}
+    lines = [f"enum {{ {', '.join(f'{name} = {count}' for name, count in counts.items())} }};"]
+    lines += [f"#define {name} ((REAL){value!r})" for name, value in numbers.items()]
+    return "\n".join([*lines, SOURCE.read_text(encoding="utf-8")])
 
 
 def side_by_side(moments: np.ndarray) -> np.ndarray:
