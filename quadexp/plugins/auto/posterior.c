@@ -12,8 +12,8 @@ typedef REAL real;
 typedef INTEGER integer;
 
 enum { LATE, PROMPT, BETWEEN };
-enum { GYRO, THRUST, VELOCITY, ATTITUDE, NOISE, AGAINST, CENTRE, WEIGHTS, LATERAL };
-enum { MODE, BEST, RATES, GYRO_MODEL, VELOCITY_MODEL, ODDS, AT_END, MEAN, DEVIATION, LOWER, UPPER, NEWER };
+enum { GYRO, THRUST, VELOCITY, ATTITUDE, AGAINST, CENTRE, MODELS, WEIGHTS, LATERAL };
+enum { MODE, RATES, ALLOWED, CHOSEN, ODDS, AT_END, BEST, MEAN, DEVIATION, LOWER, UPPER, NEWER };
 enum { A, D, L, R, BIAS = 3, COLUMNS = 1 + READINGS + BIAS, BLOCK = COMMANDS + 3, MEANS = 3 };
 
 typedef struct { /* low, high: between them hypotheses count. times: of a - r + D */
@@ -210,11 +210,12 @@ static void summary(real **res, int of, const real *share, const grid *g, real b
     res[LOWER][of] = larger(low - beside / 2, 0), res[UPPER][of] = high + beside / 2;
 }
 
+static const real NOISES[] = VELOCITY_NOISES;
 static const real STEPS[] = {STEP_A, STEP_D, STEP_L, STEP_A}, LARGEST[] = {LARGEST_A, LARGEST_D, LARGEST_L, LARGEST_A};
 
 static void posterior(const real **arg, real **res, int fine) {
     const real *against = arg[AGAINST];
-    const int whole = fine == 1, gyros = whole ? GYROS : 1, velocities = whole ? VELOCITIES : 1;
+    const int whole = fine == 1;
     grid g;
     for (int i = 0; i < 4; i++) {
         const real reach = whole ? LARGEST[i] : STEPS[i];
@@ -228,7 +229,6 @@ static void posterior(const real **arg, real **res, int fine) {
     /* thrusts, of total and lag; gyroscope, of lag and the total beside what rates are old by */
     head heads[MOST];
     real of_total[MOST], of_gyro[MOST], other[MOST];
-    int gyro_model = 0, velocity_model = 0;
     const real seen = larger(arg[WEIGHTS][0], 1);
     const channel thrust = {g.low[D], g.step[D], 0, SPAN_FORCE, SCALE_DEVIATION, seen, n_D};
     for (int l = 0; l < n_l; l++)
@@ -252,9 +252,11 @@ static void posterior(const real **arg, real **res, int fine) {
             one->possible = time < latest + INSTANT && inside(&g, L, l);
             if (one->possible) begin(one, time + gyro.shift, at(&g, L, l), PERIOD);
         }
-    for (int i = 0; i < gyros; i++) {
+    int models[2] = {0, 0};
+    for (int i = whole ? 0 : (int)arg[MODELS][0], begins = 1; i < GYROS; i++, begins = 0) {
         by_commands(other, heads, arg[GYRO] + BLOCK * BLOCK * i, &gyro, &g);
-        if (likelier(of_gyro, other, times * n_l, !i)) gyro_model = i;
+        if (likelier(of_gyro, other, times * n_l, begins)) models[0] = i;
+        if (!whole) break;
     }
     real most[SIDES], without[SIDES], all[SIDES], by_total[SIDES][SIDE], by_lag[SIDES][SIDE];
     int where[SIDES];
@@ -270,11 +272,12 @@ static void posterior(const real **arg, real **res, int fine) {
     /* velocities and attitudes, of age and of what rates are newer by */
     const real reading = PERIOD * sqrt(arg[LATERAL][0]);
     real of_age[SIDE], of_newer[SIDE], p[SIDE][SIDE];
-    for (int i = 0; i < velocities; i++) {
+    for (int i = whole ? 0 : (int)arg[MODELS][1], begins = 1; i < VELOCITIES; i++, begins = 0) {
         const real *M = arg[VELOCITY] + 4 * COLUMNS * COLUMNS * i;
         by_readings(
-            other, M, &g, A, SPAN_FORCE, 2 * larger(arg[WEIGHTS][1], 1), BIAS_DEVIATION, reading, arg[NOISE][i]);
-        if (likelier(of_age, other, n_a, !i)) velocity_model = i;
+            other, M, &g, A, SPAN_FORCE, 2 * larger(arg[WEIGHTS][1], 1), BIAS_DEVIATION, reading, NOISES[i]);
+        if (likelier(of_age, other, n_a, begins)) models[1] = i;
+        if (!whole) break;
     }
     by_readings(
         of_newer, arg[ATTITUDE], &g, R, SPAN_RATE, 3 * larger(arg[WEIGHTS][2], 1), RATE_BIAS_DEVIATION, TURN_NOISE,
@@ -300,9 +303,11 @@ static void posterior(const real **arg, real **res, int fine) {
     for (int i = 0; i < 4; i++) res[MODE][i] = at(&g, i, place[i]);
     for (int i = 0; i < 3; i++) res[AT_END][i] = res[MODE][i] > LARGEST[i] - INSTANT;
     const int rates = rates_of(res[MODE][A], res[MODE][R]);
-    *res[BEST] = best, *res[RATES] = rates, *res[GYRO_MODEL] = gyro_model, *res[VELOCITY_MODEL] = velocity_model;
+    *res[RATES] = rates, res[CHOSEN][0] = models[0], res[CHOSEN][1] = models[1];
+    for (int i = 0; i < 3; i++) res[ALLOWED][i] = i == rates ? against[i] : NEVER;
     res[ODDS][0] = best - ageless, res[ODDS][1] = best - prompt;
     if (whole) return;
+    *res[BEST] = best;
 
     real of_each[SIDES] = {0}, shares[3][SIDE] = {{0}};
     for (int i = 0; i < olds; i++) all[i] = -1;
