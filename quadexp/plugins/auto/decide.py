@@ -6,8 +6,8 @@ stiffness         by the timing uncertainty  sigma = sd(D) + |D - what is acted 
                   estimated position, how commands alternate, and whether rotors saturate; one grid at a time towards
                   the stiffer. Where age or total may be any larger one than those of the grid it is the softest.
 
-A look at the evidence begins a search for the posterior where one is due: the coarse grid and a finer one in the next
-instant, further finer ones in those after it, each where the last one ended. Where rates turn out to lie between the
+A look at the evidence begins a search for the posterior where one is due: the coarse grid in the next instant, finer
+ones in those after it, each where the last one ended, until one's mode is not on its edge. Where rates turn out to lie between the
 pose and now, one more number fits what lies between the points of a coarse grid: there is a second search without them,
 and the likelier of both counts.
 """
@@ -143,7 +143,7 @@ def decision_function(
     due = ca.logic_and(looks * (phase == IDLE), ca.logic_and(elapsed >= kept["next"], a["weights"][1] > 0))
 
     # the search goes on, or ends
-    refined, passes = phase > IDLE, kept["passes"] + 1
+    refined, passes = kept["refines"], kept["passes"] + kept["refines"]
     moved = ca.mmax(ca.fabs(a["mode"] - a["centre"]) >= STEPS - INSTANT)
     settled = refined * ca.logic_or(ca.logic_not(moved), passes >= BANK.passes)
     again = settled * (phase == FIRST) * (a["rates"] == BETWEEN)
@@ -154,11 +154,12 @@ def decision_function(
     first = refined * (phase == FIRST)
     odds, at_end = (ca.if_else(first, a[name], kept[name]) for name in ("odds", "at_end"))
     of = dict(zip(FOUND, split(found, FOUND.values()), strict=True)) | {"odds": odds, "at_end": at_end}
+    searches = ca.logic_or(due, again)
     now = ca.if_else(due, FIRST, ca.if_else(again, SECOND, ca.if_else(done, IDLE, phase)))
 
     # the decision
     is_known = ca.fmax(kept["known"], done)
-    decides = ca.logic_or(done, looks * ca.logic_not(refined) * (ca.mmax(ca.fabs(crossed - kept["crossed"])) > 0))
+    decides = ca.logic_or(done, looks * (phase == IDLE) * (ca.mmax(ca.fabs(crossed - kept["crossed"])) > 0))
     decision = ca.vertcat(*decided(is_known, of, last, senses))
     decision = ca.if_else(decides, decision, kept["decision"])
     differs = ca.fabs(decision - kept["decision"]) > 0
@@ -176,11 +177,11 @@ def decision_function(
     beliefs = ca.vertcat(of["mean"], lower, ca.if_else(at_end, math.inf, upper), of["newer"])
     beliefs = ca.if_else(done, beliefs, kept["beliefs"][:BELIEFS])
     left = {
-        "phase": now, "passes": ca.if_else(ca.logic_or(due, again), 0, passes),
+        "phase": now, "passes": ca.if_else(searches, 0, passes),
         "wait": ca.if_else(looks, ca.if_else(soon, often, seldom), kept["wait"]) - 1, "saturates": saturates,
         "next": ca.if_else(due, elapsed + limited(s.pace * elapsed, s.soonest, s.latest), kept["next"]),
         "crossed": ca.if_else(decides, crossed, kept["crossed"]), "known": is_known,
-        "searches": ca.logic_or(due, again), "refines": now > IDLE,
+        "searches": searches, "refines": (now > IDLE) * ca.logic_not(searches),
         "against": ca.vertcat(*BANK.rates_odds[:2], ca.if_else(now == SECOND, NEVER, BANK.rates_odds[2])),
         "candidate": ca.if_else(again, here, kept["candidate"]), "found": found, "odds": odds, "at_end": at_end,
         "decision": decision, "unsure": unsure,

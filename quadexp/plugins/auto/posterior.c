@@ -53,12 +53,15 @@ static void command_weights(real *h, real total, real lag, real span) {
     }
 }
 
-static void begin(head *to, real total, real lag, real span) {
-    const real wait = larger(total - lag, 0), whole = floor(wait / PERIOD);
-    real before = 0;
-    to->first = (int)whole;
-    for (int k = 0; k < 3; k++) {
-        const real now = response((whole + 1 + k) * PERIOD - wait, larger(lag, INSTANT), span);
+/* falls: exp(-PERIOD / lag). */
+static void begin(head *to, real total, real lag, real span, real falls) {
+    const real wait = larger(total - lag, 0), whole = floor(wait / PERIOD), first = (whole + 1) * PERIOD - wait;
+    real before = 0, left = exp(-first / larger(lag, INSTANT));
+    to->first = (int)whole, lag = larger(lag, INSTANT);
+    for (int k = 0; k < 3; k++, left *= falls) {
+        const real x = first + PERIOD * k;
+        real now = 1 - left;
+        if (span > INSTANT) now = (x + lag * (left - 1) - integral(x - span, lag)) / span;
         to->h[k] = now - before, before = now;
     }
 }
@@ -84,10 +87,12 @@ static real information(real product, real square) {
     return smaller(larger((1 - rho) / (1 + rho), LEAST_INFORMATION), MOST_INFORMATION);
 }
 
-/* posterior.py: commands_function */
-static void by_commands(real *restrict log_p, const head *heads, const real *M, const channel *c, const grid *g) {
+/* posterior.py: commands_function. Leaves the mean squared innovation of each hypothesis, and what the logarithm of one is
+   worth; returns the largest log likelihood. */
+static real by_commands(
+    real *restrict sse, real *worth, const head *heads, const real *M, const channel *c, const grid *g) {
     const int count = c->count, all = count * g->size[L];
-    real cross[MOST], square[MOST], sums[COMMANDS][4], least = NEVER, lowest = NEVER, sse[MOST], scale = 0;
+    real cross[MOST], square[MOST], sums[COMMANDS][4], least = NEVER, lowest = NEVER, scale = 0;
     int best = 0;
     for (int l = 0; l < g->size[L]; l++) {
         if (!inside(g, L, l)) continue;
@@ -116,8 +121,14 @@ static void by_commands(real *restrict log_p, const head *heads, const real *M, 
         for (int i = 0; i < BLOCK; i++) of[i] -= scale * h[j] * M[BLOCK * (j + 2) + i];
     now = of[0], before = of[1];
     for (int j = 0; j < COMMANDS; j++) now -= scale * h[j] * of[j + 2], before -= scale * h[j] * of[j + 3];
-    const real worth = information(before, now) * c->numbers / 2;
-    for (int k = 0; k < all; k++) log_p[k] = heads[k].possible ? -worth * log(sse[k] / c->numbers + FLOOR) : -NEVER;
+    *worth = information(before, now) * c->numbers / 2;
+    for (int k = 0; k < all; k++)
+        if (heads[k].possible) sse[k] = sse[k] / c->numbers + FLOOR;
+    return -*worth * log(lowest / c->numbers + FLOOR);
+}
+
+static void logarithms(real *restrict log_p, const head *heads, real worth, int all) {
+    for (int k = 0; k < all; k++) log_p[k] = heads[k].possible ? -worth * log(log_p[k]) : -NEVER;
 }
 
 static real gain_of(real ratio) {
@@ -230,6 +241,8 @@ static void posterior(const real **arg, real **res, int fine) {
     head heads[MOST];
     real of_total[MOST], of_gyro[MOST], other[MOST];
     const real seen = larger(arg[WEIGHTS][0], 1);
+    real falls[SIDE];
+    for (int l = 0; l < n_l; l++) falls[l] = exp(-PERIOD / larger(at(&g, L, l), INSTANT));
     const channel thrust = {g.low[D], g.step[D], 0, SPAN_FORCE, SCALE_DEVIATION, seen, n_D};
     for (int l = 0; l < n_l; l++)
         for (int k = 0; k < n_D; k++) {
@@ -237,9 +250,11 @@ static void posterior(const real **arg, real **res, int fine) {
             head *one = heads + n_D * l + k;
             one->possible = inside(&g, D, k) && inside(&g, L, l);
             one->possible &= dead_time > -INSTANT && dead_time < LARGEST_DEAD_TIME + INSTANT;
-            if (one->possible) begin(one, total, lag, SPAN_FORCE);
+            if (one->possible) begin(one, total, lag, SPAN_FORCE, falls[l]);
         }
-    by_commands(of_total, heads, arg[THRUST], &thrust, &g);
+    real worth, most_of_gyro = 0;
+    (void)by_commands(of_total, &worth, heads, arg[THRUST], &thrust, &g);
+    logarithms(of_total, heads, worth, n_D * n_l);
     for (int k = 0; k < n_D * n_l; k++) {
         const real total = at(&g, D, k % n_D), ways = smaller(total, LARGEST_L) - larger(total - LARGEST_DEAD_TIME, 0);
         if (heads[k].possible) of_total[k] += -total / MEAN_DELAY - log(larger(ways, 0) + STEP_L);
@@ -249,15 +264,22 @@ static void posterior(const real **arg, real **res, int fine) {
         for (int k = 0; k < times; k++) {
             const real time = gyro.low + gyro.step * k;
             head *one = heads + times * l + k;
+            const real wait = time - at(&g, L, l);
             one->possible = time < latest + INSTANT && inside(&g, L, l);
-            if (one->possible) begin(one, time + gyro.shift, at(&g, L, l), PERIOD);
+            one->possible &= wait > -INSTANT && wait < LARGEST_DEAD_TIME + LARGEST_A + INSTANT;
+            if (one->possible) begin(one, time + gyro.shift, at(&g, L, l), PERIOD, falls[l]);
         }
     int models[2] = {0, 0};
     for (int i = whole ? 0 : (int)arg[MODELS][0], begins = 1; i < GYROS; i++, begins = 0) {
-        by_commands(other, heads, arg[GYRO] + BLOCK * BLOCK * i, &gyro, &g);
-        if (likelier(of_gyro, other, times * n_l, begins)) models[0] = i;
+        real of_other;
+        const real found = by_commands(other, &of_other, heads, arg[GYRO] + BLOCK * BLOCK * i, &gyro, &g);
+        if (begins || found > most_of_gyro) {
+            models[0] = i, most_of_gyro = found, worth = of_other;
+            for (int k = 0; k < times * n_l; k++) of_gyro[k] = other[k];
+        }
         if (!whole) break;
     }
+    logarithms(of_gyro, heads, worth, times * n_l);
     real most[SIDES], without[SIDES], all[SIDES], by_total[SIDES][SIDE], by_lag[SIDES][SIDE];
     int where[SIDES];
     for (int i = 0; i < olds; i++) {

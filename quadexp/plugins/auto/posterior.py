@@ -188,10 +188,13 @@ def grid_function(told: Told, fine: int) -> ca.Function:
     first = ca.fmax(low[0] - high[3], 0)
     times = first + low[1] + steps[0] * ca.DM(range(n_old + n_D - 1))
     told_of = times < ca.fmax(high[0] - low[3], 0) + high[1] + INSTANT
-    told_of = ca.mtimes(told_of, inside[2].T)
+    wait = ca.repmat(times, 1, n_l) - ca.repmat(lags.T, times.numel(), 1)
+    told_of = ca.mtimes(told_of, inside[2].T) * (wait > -INSTANT)
+    told_of = told_of * (wait < BANK.largest_dead_time + BANK.largest_age + INSTANT)
     by_gyro = commands_function("gyro", told, layout, n_old + n_D - 1, n_l)
     each = models("gyro", commands, a["models"][0])
-    gyro_model, of_gyro = _likeliest([by_gyro(M, times, lags, told_of, a["weights"][0]) for M in each])
+    by_gyro_model = [ca.if_else(told_of, by_gyro(M, times, lags, told_of, a["weights"][0]), -NEVER) for M in each]
+    gyro_model, of_gyro = _likeliest(by_gyro_model)
     by_old = [of_total + of_gyro[i : i + n_D, :] for i in range(n_old)]
 
     # velocities and attitudes, of age and of what rates are newer by
