@@ -69,6 +69,10 @@ class AutoLaw(Auto):
         """See Auto: what was told of the path is of another time."""
         return [*super()._retuned(when), copy(self._sooner.memory.of_next["goes_on"], np.zeros(1), when)]
 
+    def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
+        """See Auto."""
+        return [*super().starts(x, thrust), (self._sooner.believed, {"scale": np.ones(1)})]
+
 
 def law_form(
     acts: Decision, period: float, count: int, parts: int, spacing: float, nodes: tuple[float, ...], believes: bool
@@ -99,7 +103,7 @@ class Sooner(WrappedController):
         self._ahead = Ahead(core.vehicle, residual, core.backend, commands, world, LONGEST)
         self._rows, self.parts = np.zeros(3), self._ahead.parts  # of the reference
         self._later = built(core.backend, later, core.vehicle, core.control_period)
-        self.memory, self._believed = Memory("Sooner", sizes_of([self._later])), Memory("Believed", worked=world)
+        self.memory, self.believed = Memory("Sooner", sizes_of([self._later])), Memory("Believed", worked=world)
         self._tuned = {"ahead": np.zeros(1), "at": np.zeros(1)}
         told = [*self._ahead.tuned, *self._tuned.values(), self._rows]
         self.tuned = dict(zip(OF_LAW, told, strict=True))
@@ -109,7 +113,7 @@ class Sooner(WrappedController):
         """See Controller.reset."""
         super().reset(x, window)
         self.memory.begin({})
-        self._believed.commit()
+        self.believed.begin({"scale": np.ones(1)})
 
     @property
     def believed_numbers(self) -> np.ndarray:
@@ -137,7 +141,7 @@ class Sooner(WrappedController):
             world, found = self._world.arguments, self._world.results
             believed = [copy(world["belief"], self.believed_numbers), copy(world["path"], left["path_then"])]
             operations = [*operations, *believed, call(self._world), copy(self.believed_numbers[:3], found["force"])]
-        memory = (*inner.memory, self.memory, self._believed)
+        memory = (*inner.memory, self.memory, self.believed)
         return inner._replace(operations=[*predicted, *operations, *inner.operations], memory=memory)
 
 

@@ -71,6 +71,15 @@ class AutoMPC(Auto):
             self._last[name][...] = value
         self._believed.commit()
 
+    def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
+        """See Auto."""
+        kept = self._earlier.memory
+        seen = np.tile(np.concatenate([x, np.zeros(4)]), kept.now.size // (N_STATE + 4))
+        ahead = self._core.predictor
+        sent = {"commands": np.tile(thrust, len(ahead.sent.values))}
+        begun = [(ahead.memory, sent), (kept, {"kept": seen}), (self._believed, {"scale": np.ones(1)})]
+        return [*super().starts(x, thrust), *begun]
+
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""
         made = super().instant(told, state)

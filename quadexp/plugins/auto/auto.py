@@ -23,7 +23,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Window
 from quadexp.control.built import built
 from quadexp.control.delivered import SentCommands
-from quadexp.control.inputs import Circumstances
+from quadexp.control.inputs import Circumstances, Inputs
 from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of, run
 from quadexp.control.layer import Layer
 from quadexp.control.mpc.controller import PredictiveController
@@ -133,9 +133,7 @@ class Auto(WrappedController):
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset: nothing is known."""
-        self._memory.begin(start_of(self._begin))
-        run(self._retuned())
-        self._plan.commit()
+        self._anew()
         rows = self._rows.astype(int)
         inside = window._replace(state=window.state[rows], input=window.input[rows[:-1]])
         super().reset(x, inside)
@@ -154,6 +152,26 @@ class Auto(WrappedController):
             yield
         finally:
             self._begin, self._judged = NOTHING, False
+
+    def _anew(self) -> None:
+        """Nothing has been seen, and it plans accordingly."""
+        self._memory.begin(start_of(self._begin))
+        self._search.memory.begin({})
+        run(self._retuned())
+        self._plan.commit()
+
+    def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
+        """What is remembered as a flight begins, see `reset`, of its own memories and that of its strapdown; x, (13,),
+        and thrust, (n,), may be symbols."""
+        strapdown = self._strapdown.part.start(Inputs(self.vehicle, self._strapdown.about, ca.SX), x, thrust)
+        sent = np.tile(thrust, len(self._commands.values))
+        self._anew()
+        plan = {name: values.copy() for name, values in self._plan.of_now.items()}
+        return [
+            (self._strapdown.memory, strapdown), (self._filter.memory, self._filter.start(x)),
+            (self._commands.memory, {"commands": sent}), (self._bank.memory, self._bank.start(x, thrust)),
+            (self._memory, start_of(NOTHING)), (self._plan, plan),
+        ]  # fmt: skip
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""

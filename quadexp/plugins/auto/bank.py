@@ -104,17 +104,21 @@ class Bank:
         """Standard deviation of a reading across the thrust (m/s^2), within what a data sheet may be wrong by."""
         return math.sqrt(self.part("lateral")[0])
 
-    def reset(self, x: np.ndarray, thrust: np.ndarray) -> None:
-        """Begin a flight in the state x, (13,); this command, (n,) (N), has been sent for a long time."""
-        specific, layout = thrust.sum() / self.vehicle.mass, self.layout
-        filters = np.zeros((4, 2 * GYROS + 1))
+    def start(self, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
+        """What is remembered in the state x, (13,), where this command, (n,) (N), has been sent for a long time."""
+        specific, layout, kind = thrust.sum() / self.vehicle.mass, self.layout, x.dtype
+        filters = np.zeros((4, 2 * GYROS + 1), kind)
         filters[0] = [*np.tile(x[RATE][:2], GYROS), specific]
         filters[2, -1] = specific
-        velocity = np.zeros((len(BANK.velocity_models) * AXES, layout.columns))
+        velocity = np.zeros((len(BANK.velocity_models) * AXES, layout.columns), kind)
         velocity[:, 0] = np.tile(x[VELOCITY], len(BANK.velocity_models))
         start = {"x": x, "lateral": np.full(1, self.stated**2), "filters": filters, "velocity": velocity}
         start |= {"forces": np.tile([0.0, 0.0, specific], layout.readings), "rates": np.tile(x[RATE], layout.readings)}
-        self.memory.begin(start | {"sent": self.every * thrust})
+        return start | {"sent": self.every * thrust}
+
+    def reset(self, x: np.ndarray, thrust: np.ndarray) -> None:
+        """Begin a flight, see `start`."""
+        self.memory.begin(self.start(x, thrust))
         self.sums.begin({})
 
     def after(self, told: Told, state: np.ndarray, command: np.ndarray) -> list[Operation]:

@@ -115,8 +115,11 @@ class DisturbanceFilter:
     def reset(self, x: np.ndarray) -> None:
         """Begin a flight in the state x, (13,): nothing is believed."""
         self.belief[...], self.deviations[...] = np.hstack([*no_belief()]), np.nan
-        covariance = np.tile(np.diag(self._initial).ravel(), WALKS)
-        self.memory.begin({"covariance": covariance, "rates": np.tile(x[RATE], TORQUES)})
+        self.memory.begin(self.start(x))
+
+    def start(self, x: np.ndarray) -> dict[str, np.ndarray]:
+        """What is remembered as a flight begins in the state x, (13,)."""
+        return {"covariance": np.tile(np.diag(self._initial).ravel(), WALKS), "rates": np.tile(x[RATE], TORQUES)}
 
     def before(self, known: dict[str, np.ndarray], read: np.ndarray) -> list[Operation]:
         """Leaves belief and deviations. known: arrays with the state x (13,), the reading (3,), thrust and mean,

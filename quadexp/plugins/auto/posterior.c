@@ -54,7 +54,7 @@ static void command_weights(real *h, real total, real lag, real span) {
 }
 
 /* falls: exp(-PERIOD / lag). */
-static void begin(head *to, real total, real lag, real span, real falls) {
+static void lead_in(head *to, real total, real lag, real span, real falls) {
     const real wait = larger(total - lag, 0), whole = floor(wait / PERIOD), first = (whole + 1) * PERIOD - wait;
     real before = 0, left = exp(-first / larger(lag, INSTANT));
     to->first = (int)whole, lag = larger(lag, INSTANT);
@@ -250,7 +250,7 @@ static void posterior(const real **arg, real **res, int fine) {
             head *one = heads + n_D * l + k;
             one->possible = inside(&g, D, k) && inside(&g, L, l);
             one->possible &= dead_time > -INSTANT && dead_time < LARGEST_DEAD_TIME + INSTANT;
-            if (one->possible) begin(one, total, lag, SPAN_FORCE, falls[l]);
+            if (one->possible) lead_in(one, total, lag, SPAN_FORCE, falls[l]);
         }
     real worth, most_of_gyro = 0;
     (void)by_commands(of_total, &worth, heads, arg[THRUST], &thrust, &g);
@@ -267,7 +267,7 @@ static void posterior(const real **arg, real **res, int fine) {
             const real wait = time - at(&g, L, l);
             one->possible = time < latest + INSTANT && inside(&g, L, l);
             one->possible &= wait > -INSTANT && wait < LARGEST_DEAD_TIME + LARGEST_A + INSTANT;
-            if (one->possible) begin(one, time + gyro.shift, at(&g, L, l), PERIOD, falls[l]);
+            if (one->possible) lead_in(one, time + gyro.shift, at(&g, L, l), PERIOD, falls[l]);
         }
     int models[2] = {0, 0};
     for (int i = whole ? 0 : (int)arg[MODELS][0], begins = 1; i < GYROS; i++, begins = 0) {

@@ -88,11 +88,14 @@ def grid_posterior(backend: str, told: Told, fine: int, shared: dict[str, np.nda
 
 
 class Kernel(BufferedFunction):
-    """A posterior of `grid_function` in C, posterior.c, on the same arrays."""
+    """A posterior of `grid_function` in C, posterior.c, on the same arrays. source: its text, compiled unless the cache
+    has it."""
 
     def __init__(self, told: Told, fine: int, shared: dict[str, np.ndarray]) -> None:
         super().__init__(built("interpreted", grid_function, told, fine), shared)
-        code = getattr(ctypes.PyDLL(str(kernel_library(told))), self.function.name())
+        self.source = kernel_source(told)
+        library = linked_library("posterior", (self.source, ()))
+        code = getattr(ctypes.PyDLL(str(library)), self.function.name())
         places = [
             np.array([array.ctypes.data for array in arrays.values()], np.uintp)
             for arrays in (self.arguments, self.results)
@@ -100,11 +103,6 @@ class Kernel(BufferedFunction):
         self.for_c = CFunction(code, *places, np.zeros(1, np.int64), np.zeros(1))
         code.argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_int]
         self._trigger = partial(code, *(array.ctypes.data for array in self.for_c.arrays), 0)
-
-
-def kernel_library(told: Told) -> Path:
-    """posterior.c with its settings before it, compiled unless the cache has it."""
-    return linked_library("posterior", (kernel_source(told), ()))
 
 
 def kernel_source(told: Told) -> str:

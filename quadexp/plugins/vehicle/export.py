@@ -40,6 +40,7 @@ MANIFEST = "model.json"
 FORMAT = 1  # of the folder
 REPLAY = {"double": 1e-9, "float": 0.02}  # N, of a step on recorded inputs
 PATHS = {"double": 1e-9, "float": 1.0}  # m, between the path of the bench and that of C
+SUMMED = 1e-6  # m, likewise of one that decides by sums over a flight: what it decides amplifies how they are rounded
 ERRORS = {"double": 1e-6, "float": 0.01}  # share of the mean tracking error
 
 
@@ -93,7 +94,7 @@ def refuse_python(controller: Any, config: Config) -> None:
     inside = [innermost(controller), *reversed(layers(controller))]
     for place, layer in enumerate(inside):
         flies = in_operations(layer) and goes_in_c(layer)
-        if flies and not any(o.kind in ("python", "gather") for o in layer.running.instant.operations):
+        if flies and not any(o.kind == "python" for o in layer.running.instant.operations):
             continue
         name = f"controller={config.controller.name}"
         if place:
@@ -167,7 +168,9 @@ def checked_files(
         flown = np.array([reference.at(0)[0][:3], *flight.positions])[:steps]
         error = float(np.linalg.norm(flown - along, axis=1).mean())
         rows += plant_lines(function, period.arguments, plant, len(flight.first))
-        rows += [f"#define PATH_LIMIT {PATHS[names.real]!r} /* m */", f"#define ERROR_SHARE {ERRORS[names.real]!r}"]
+        sums = any(operation.kind == "gather" for operation in made.operations)
+        limit = max(PATHS[names.real], SUMMED * sums)
+        rows += [f"#define PATH_LIMIT {limit!r} /* m */", f"#define ERROR_SHARE {ERRORS[names.real]!r}"]
         rows += [f"#define MEAN_ERROR {error!r} /* m */"]
         parts = [reference.at(0)[0], flight.first]
         for context, position in zip(flight.contexts, flight.positions, strict=True):

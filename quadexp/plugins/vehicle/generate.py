@@ -141,7 +141,7 @@ def functions_of(made: Program) -> dict[int, tuple[str, ca.Function]]:
     for operation in made.operations:
         if operation.function is None or id(operation.function.function) in found:
             continue
-        origin = operation.function.function.origin
+        origin: Any = getattr(operation.function.function, "origin", operation.function.function)
         name = f"{origin.name()}_{len(taken)}" if origin.name() in taken else origin.name()
         if name != origin.name():
             symbols = origin.mx_in()
@@ -176,11 +176,19 @@ def model_c(made: Program, functions: Sequence[ca.Function]) -> str:
     """The functions of the layers."""
     names = made.names
     generator = ca.CodeGenerator(f"{names.prefix}_model", {"with_header": False})
+    written = {one.function.function.name(): one.function.source for one in made.operations if is_written(one)}
     for function in functions:
-        generator.add(function)
+        if function.name() not in written:
+            generator.add(function)
     renamed = "".join(f"#define {one.name()} {names.prefix}_{one.name()}\n" for one in functions)
     body = in_precision(generator.dump(), names) if functions else ""
-    return f'#include "real.h"\n{QUIET}{renamed}{body}'
+    by_hand = "\n".join(dict.fromkeys(written.values()))  # several functions may be of one text
+    return f'#include "real.h"\n{QUIET}{renamed}{body}{in_precision(by_hand, names)}'
+
+
+def is_written(operation: Operation) -> bool:
+    """Whether it calls C that is written by hand, the text `source`."""
+    return hasattr(operation.function, "source")
 
 
 def node_c(made: Program) -> str:
@@ -391,6 +399,8 @@ def row(made: Program, index: int, o: Operation) -> str:
     fields = {"kind": o.kind.upper(), "every": str(o.every), "count": str(count), "factor": made.names.literal(factor)}
     fields |= {"to": at(o.to), "other": at(o.other), "source": at(o.source), "when": at(o.when)}
     fields["next"] = at(o.source) if o.kind == "commit" else "0"
+    if o.kind == "gather" and o.source is not None:
+        fields |= dict(zip(("rows", "columns"), map(str, o.source[0].shape), strict=True))
     fields["function"] = f"&call{index}" if o.function is not None else "0"
     return ", ".join(f".{name} = {value}" for name, value in fields.items() if value != "0")
 

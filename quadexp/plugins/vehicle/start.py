@@ -17,9 +17,11 @@ from quadexp.compile.memory import Memory
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Window
 from quadexp.control.inputs import Inputs, at_start
+from quadexp.control.instant import in_operations
 from quadexp.control.laws.explicit import ExplicitController
 from quadexp.control.layer import Layer
 from quadexp.control.mpc.controller import PredictiveController
+from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.wrapped import innermost, layers
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.physics.state import ATTITUDE, N_STATE
@@ -75,7 +77,7 @@ def check_start(controller: Any, function: ca.Function | None, places: list[np.n
             if memory is own:
                 continue
             before = expected[id(memory)]
-            if not np.allclose(memory.now, before, rtol=EQUAL, atol=EQUAL):
+            if not np.allclose(memory.now, before, rtol=EQUAL, atol=EQUAL, equal_nan=True):
                 raise QuadexpError(f"export: what {memory.owner} remembers at the start of a flight is not understood")
 
 
@@ -89,14 +91,16 @@ def _starts(controller: Any, x: np.ndarray, thrust: np.ndarray) -> Starts:
             estimate = _traced(layer.part.begin, x)
             start = {"commands": commands, "thrust": thrust, "sent": thrust, "estimate": estimate}
             yield inner.believed.memory, start
+        elif hasattr(layer, "starts"):
+            yield from _traced(layer.starts, x, thrust)
         elif isinstance(layer, Layer):
             start = at_start(layer.vehicle, layer.about, thrust) if "sent" in layer.memory.sizes else {}
             yield layer.memory, start | _traced(layer.part.start, Inputs(layer.vehicle, layer.about, ca.SX), x, thrust)
-        else:
+        elif not in_operations(layer):
             raise UsageError(f"export: {type(layer).__name__} exists in Python only")
     core = innermost(controller)
     if isinstance(core, PredictiveController):
-        if core.predictor is not None:
+        if isinstance(core.predictor, DeadTimePredictor):
             commands = np.tile(thrust, core.predictor._delays.pending)
             yield core.predictor.memory, {"commands": commands, "thrust": thrust, "sent": thrust}
     elif isinstance(core, ExplicitController):

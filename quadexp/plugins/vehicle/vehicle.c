@@ -88,15 +88,21 @@ static int within_reach(const operation *o, const mpc *p) {
 
 /* As PredictiveController.reset: the reference is the first guess. */
 static void begin_plan(mpc *p, const real *state, const reference *r) {
+    const real *rows = 0; /* of a window that is longer than the horizon: which of them make it */
+    for (integer i = 0; i < the_loop.operations_size; i++)
+        if (operations[i].kind == WINDOW && operations[i].count && (integer)operations[i].factor == p->reference_rows)
+            rows = operations[i].source;
     copy(p->x0, state, BODY);
-    for (integer k = 0; k < p->reference_rows; k++) copy(p->X_ref + p->states * k, r->states + BODY * k, BODY);
+    for (integer k = 0; k < p->reference_rows; k++)
+        copy(p->X_ref + p->states * k, r->states + BODY * (rows ? (integer)rows[k] : k), BODY);
     for (integer i = 0; i < the_loop.operations_size; i++)
         if (operations[i].kind == NEAR) (void)within_reach(operations + i, p);
     for (integer k = 0; k <= p->nodes; k++) copy(p->X + p->states * k, p->X_ref + p->states * SAMPLES * k, BODY);
     (void)to_side(p->X, p->nodes + 1, p->states, state);
     for (integer k = 0; k < p->nodes; k++)
         for (integer i = 0; i < p->inputs; i++)
-            p->U[p->inputs * k + i] = clipped(r->inputs[p->inputs * SAMPLES * k + i]);
+            p->U[p->inputs * k + i] =
+                clipped(r->inputs[p->inputs * (rows ? (integer)rows[SAMPLES * k] : SAMPLES * k) + i]);
     for (integer k = 0; k <= p->nodes; k++) /* rotors that lag: their thrusts are states */
         copy(p->X + p->states * k + BODY, p->U + p->inputs * (k < p->nodes ? k : k - 1), p->states - BODY);
     for (integer i = 0; i < p->inputs * p->nodes; i++) p->guess[i] = 0;
