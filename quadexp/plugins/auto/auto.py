@@ -103,7 +103,7 @@ class Auto(WrappedController):
         lately = commands.values[-max(2, round(DECISION.saturation_memory / period)) :].reshape(-1)
         form = vehicle, period, self._bank.period, lately.size, apart
         function = built(inner.backend, decision_function, *form, unsaid=unsaid)
-        places = {name: self._bank.part(name) for name in ("count", "weights", "noise")}
+        places = {name: self._bank.memory.of_next[name] for name in ("count", "weights", "noise")}
         places |= {"commands": lately, "acts": self._filter.acts, "centre": self._search.left["mode"]}
         places |= self._search.found | {name: self._search.left[name] for name in ("rates", "odds", "at_end")}
         self._decide = connected(function, places, {}, self._memory)

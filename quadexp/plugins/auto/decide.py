@@ -7,9 +7,9 @@ stiffness         by the timing uncertainty  sigma = sd(D) + |D - what is acted 
                   the stiffer. Where age or total may be any larger one than those of the grid it is the softest.
 
 A look at the evidence begins a search for the posterior where one is due: the coarse grid in the next instant, finer
-ones in those after it, each where the last one ended, until one's mode is not on its edge. Where rates turn out to lie
-between the pose and now, one more number fits what lies between the points of a coarse grid: there is a second search
-without them, and the likelier of both counts.
+ones in those after it (the first one with it, as a flight begins), each where the last one ended, until one's mode is
+not on its edge. Where rates turn out to lie between the pose and now, one more number fits what lies between the points
+of a coarse grid: there is a second search without them, and the likelier of both counts.
 """
 
 from __future__ import annotations
@@ -140,7 +140,6 @@ def decision_function(
     senses = Senses(position, saturated, saturates, ca.mmax(a["acts"]) > 0)
     crossed = ca.vertcat(position > s.large_noise, saturated > s.saturated, saturates > s.saturates, senses.acts)
     often, seldom = (max(1, round(each / period)) for each in (s.soonest, s.checks))
-    due = ca.logic_and(looks * (phase == IDLE), ca.logic_and(elapsed >= kept["next"], a["weights"][1] > 0))
 
     # the search goes on, or ends
     refined, passes = kept["refines"], kept["passes"] + kept["refines"]
@@ -148,6 +147,8 @@ def decision_function(
     settled = refined * ca.logic_or(ca.logic_not(moved), passes >= BANK.passes)
     again = settled * (phase == FIRST) * (a["rates"] == BETWEEN)
     done = settled * ca.logic_not(again)
+    due = ca.logic_and(elapsed + period >= kept["next"], a["weights"][1] > 0)  # the search is in the next instant
+    due = looks * due * ca.logic_or(phase == IDLE, done)
     here = ca.vertcat(*(a[name] for name in FOUND))
     other = ca.logic_and(phase == SECOND, kept["candidate"][-1] > here[-1])
     found = ca.if_else(done, ca.if_else(other, kept["candidate"], here), kept["found"])
@@ -181,7 +182,7 @@ def decision_function(
         "wait": ca.if_else(looks, ca.if_else(soon, often, seldom), kept["wait"]) - 1, "saturates": saturates,
         "next": ca.if_else(due, elapsed + limited(s.pace * elapsed, s.soonest, s.latest), kept["next"]),
         "crossed": ca.if_else(decides, crossed, kept["crossed"]), "known": is_known,
-        "searches": searches, "refines": (now > IDLE) * ca.logic_not(searches),
+        "searches": searches, "refines": (now > IDLE) * ca.logic_or(soon, ca.logic_not(searches)),
         "against": ca.vertcat(*BANK.rates_odds[:2], ca.if_else(now == SECOND, NEVER, BANK.rates_odds[2])),
         "candidate": ca.if_else(again, here, kept["candidate"]), "found": found, "odds": odds, "at_end": at_end,
         "decision": decision, "unsure": unsure,

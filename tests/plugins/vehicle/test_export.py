@@ -29,6 +29,8 @@ LAW = ("controller=geometric", "adaptive=l1", "trajectory=circle", "trajectory.s
 OBSERVING = ("controller=nominal_mpc", "observer=disturbance", "inner=indi", "observer.torque_bandwidth=0")
 WINDY = (*OBSERVING, "wind=gust", "trajectory=circle", "trajectory.speed=4", *QUICK)
 CASES = {"mpc": MPC, "law": LAW, "observing": WINDY}
+FOUND = ("remedies=auto", "world=everything", "trajectory=circle", "trajectory.speed=4", *QUICK)
+AUTO = {"auto": ("controller=nominal_mpc", *FOUND), "auto_law": ("controller=geometric", *FOUND)}
 
 
 class Exports(dict[str, Path]):
@@ -40,7 +42,7 @@ class Exports(dict[str, Path]):
 
     def __missing__(self, name: str) -> Path:
         self[name] = self._place / name
-        export_controller(CASES[name], self[name])
+        export_controller((CASES | AUTO)[name], self[name])
         return self[name]
 
 
@@ -61,7 +63,7 @@ def flown(*settings: str) -> np.ndarray:
 
 
 # ------------------------------------------------------------------------------------------------------- its own proof
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", CASES | AUTO)
 def test_folder_passes_its_check(folders: dict[str, Path], name: str) -> None:
     done = run(folders[name])
     assert done.returncode == 0, done.stdout + done.stderr
@@ -318,7 +320,6 @@ def test_numbers_may_be_changed_in_flight(folders: dict[str, Path]) -> None:
     ("settings", "said"),
     [
         (("controller=online_mpc",), "controller=online_mpc decides or learns in Python"),
-        (("controller=nominal_mpc", "remedies=auto"), "delay=auto decides or learns in Python"),
         (
             ("controller=pid", "delay=prediction", "delay.dead_time=0.03"),
             "delay=prediction decides or learns in Python",
