@@ -9,7 +9,10 @@ BRINGS = {
         "replay-test": "quadexp.plugins.logs.replay_command:replay_test",
     },
     "parts": {"from_model": "quadexp.plugins.logs.from_model"},
-    "models": {"vehicle_model": "quadexp.plugins.logs.vehicle_model"},
+    "models": {
+        "vehicle_model": "quadexp.plugins.logs.vehicle_model",
+        "rotor_force": "quadexp.plugins.logs.rotor_force",
+    },
     "readers": {  # the most general last: to it any text is a table
         "ardupilot": "quadexp.plugins.logs.importers.readers.ardupilot",
         "betaflight": "quadexp.plugins.logs.importers.readers.betaflight",
