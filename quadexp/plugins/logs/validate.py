@@ -13,7 +13,7 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.vehicle_of import refuse_repeated
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
-from quadexp.models.checkpoint import load_model
+from quadexp.models.checkpoint import edited_note, load_model
 from quadexp.models.samples import FlightRows, read_rows
 from quadexp.names import distinct, without
 from quadexp.parts.schema import Config
@@ -57,7 +57,7 @@ def validate(
         raise UsageError("--leave-one-out: needs at least two flights")
     folds = [[name] for name in flown] if leave_one_out else [list(flown)]
     by_predictor: dict[str, list[tuple[Predictor, FlightRows]]] = {}
-    notes: list[str] = []
+    notes = [f"warning: {edited}" for path in models if (edited := edited_note(path))]
     for done, tested in enumerate(folds):
         progress(done, len(folds))
         others = without(flown, tested)
