@@ -29,6 +29,7 @@ from quadexp.models.samples import QUATERNION, RATES, READINGS, SIGNALS, Samples
 from quadexp.parts.options import Folders
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.inflow import momentum_of
+from quadexp.plugins.identification.recorded import read_recorded
 from quadexp.plugins.identification.thrust_curve import ThrustCurve, fit_thrust_samples
 from quadexp.plugins.identification.torque_gain import TorqueGain
 from quadexp.plugins.identification.vehicle_model import (
@@ -79,18 +80,6 @@ def choose_method(paths: Sequence[Path], asked: str | None, vehicle: Vehicle | N
         if flown is None and flight.metadata.get("recorded"):
             return Choice("regression", f"{path} is of a vehicle that is not in the configuration")
     return Choice("rls", "rotor speeds and the rotors' geometry are known")
-
-
-def read_recorded(path: Path) -> Flight:
-    """Read a flight that may lack commanded thrusts, as a log does. Raises DataError unless time, attitude and velocity
-    are finite, time increases and no sample was left out."""
-    needed = ("t", *QUATERNION, "v_x", "v_y", "v_z")
-    columns, record = store.read_table(path, "flight", required=needed)
-    store.check_finite(columns, needed, str(path))
-    store.check_attitude(columns, str(path))
-    store.check_whole(record, str(path))
-    store.check_order(columns["t"], str(path))
-    return Flight(columns, record)
 
 
 def identify_files(

@@ -36,7 +36,7 @@ from quadexp.models.regression import half_width, regress
 from quadexp.models.samples import COMMANDS, Samples, gather_to_fit, read_rows
 from quadexp.parts.options import Folders
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.identification.identify import read_recorded
+from quadexp.plugins.identification.recorded import read_recorded
 from quadexp.plugins.identification.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples
 from quadexp.plugins.identification.torque_gain import TorqueGain, gains, own_timing
 from quadexp.plugins.identification.turning import AXES, LEAST, OTHER, Turning, speed_of, turnings
