@@ -16,7 +16,7 @@ import numpy as np
 from quadexp import __version__
 from quadexp.errors import DataError
 from quadexp.names import without
-from quadexp.plugins.logs.torque import AxisModel
+from quadexp.plugins.identification.torque import AxisModel
 from quadexp.plugins.public.nanodrone import PARTS, PUBLISHED, REPORTED, STEPS, UNITS, Runs, by_toolbox, errors, read
 from quadexp.plugins.public.nanodrone_model import Force, fit_force, fit_turning, mean_speed, predicted
 from quadexp.progress import Progress
