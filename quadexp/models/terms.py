@@ -23,8 +23,8 @@ LINEAR and QUADRATIC are the drag models:
 
 The intercepts b_x, b_y take up the accelerometer's bias and constant lateral forces (off-axis centre of mass, unequal
 rotors); without them bias times mean velocity biases d. Along z the thrust takes up a constant: d_z is fitted together
-with the thrust curve (quadexp.plugins.logs.thrust_curve), and the quadratic pair together with a correction of the
-curve's scale, the term `thrust`.
+with the thrust curve (quadexp.plugins.identification.thrust_curve), and the quadratic pair together with a correction
+of the curve's scale, the term `thrust`.
 
 SELF_CONSISTENT is the blade-element model of rotors whose geometry is unknown. From quadexp.physics.blade_element (Lei
 & Li 2017, equations 9, 10, 14, 15), with s = N_b rho c / 2, climb v_z = -V_z, flow through the rotor u_k = V_k + v_z,
@@ -52,7 +52,7 @@ an approximation. The coefficients of the terms are then (k in 1/m; sqrt(k) conv
     body       k_4 / m
 
 V_k follows from momentum theory (17) at the rotor's thrust, which takes the rotor's radius; the coefficients along z
-then decide V_k too (quadexp.plugins.logs.inflow).
+then decide V_k too (quadexp.plugins.identification.inflow).
 
 WITHOUT_RADIUS: where the radius is unknown, V_k - V_hover is left out, its mean is absorbed by `climb` and `advance`,
 and hub_climb, -v_i n v_z, replaces the two terms in y. The rotors' own velocities (omega x r_k) cancel from the sums to
