@@ -8,8 +8,8 @@ stiffness         by the timing uncertainty  sigma = sd(D) + |D - what is acted 
 
 A look at the evidence begins a search for the posterior where one is due: the coarse grid in the next instant, finer
 ones in those after it, each where the last one ended, until one's mode is not on its edge. Where rates turn out to lie
-between the pose and now, one more number fits what lies between the points of a coarse grid: there is a second search without them,
-and the likelier of both counts.
+between the pose and now, one more number fits what lies between the points of a coarse grid: there is a second search
+without them, and the likelier of both counts.
 """
 
 from __future__ import annotations
