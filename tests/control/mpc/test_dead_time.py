@@ -17,7 +17,7 @@ from quadexp.experiment.loop_margins import hover_loop
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.plugins.auto.ahead import CommandsAhead, prediction_numbers, span_weights
-from quadexp.plugins.logs.from_model import FromModelPlant
+from quadexp.plugins.identification.from_model import FromModelPlant
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
 from quadexp.world import PlantEffects, SimplifiedPlant
