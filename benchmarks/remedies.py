@@ -6,8 +6,8 @@ Each contestant is the whole step of a controller in a loop of the user's own (C
 what it was told in a flight on the circle, in wind and with the delays that it knows; a round is one pass of each over
 its own record, so that a slow moment of the machine meets all. Of every step of a record the least over the rounds is
 taken, which other work on the machine does not touch; printed are the medians and means over the steps, and their
-ratios to the first row, in one run. The two differ where a few steps cost more: remedies=auto decides in Python, and
-what a loop in C leaves to Python costs the whole way through it.
+ratios to the first row, in one run. The two differ where a few steps cost more, such as those of
+remedies=auto in which a posterior is looked for.
 """
 
 from __future__ import annotations

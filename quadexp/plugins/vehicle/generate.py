@@ -176,7 +176,8 @@ def model_c(made: Program, functions: Sequence[ca.Function]) -> str:
     """The functions of the layers."""
     names = made.names
     generator = ca.CodeGenerator(f"{names.prefix}_model", {"with_header": False})
-    written = {one.function.function.name(): one.function.source for one in made.operations if is_written(one)}
+    called: list[Any] = [one.function for one in made.operations if hasattr(one.function, "source")]
+    written = {one.function.name(): one.source for one in called}  # C by hand
     for function in functions:
         if function.name() not in written:
             generator.add(function)
@@ -184,11 +185,6 @@ def model_c(made: Program, functions: Sequence[ca.Function]) -> str:
     body = in_precision(generator.dump(), names) if functions else ""
     by_hand = "\n".join(dict.fromkeys(written.values()))  # several functions may be of one text
     return f'#include "real.h"\n{QUIET}{renamed}{body}{in_precision(by_hand, names)}'
-
-
-def is_written(operation: Operation) -> bool:
-    """Whether it calls C that is written by hand, the text `source`."""
-    return hasattr(operation.function, "source")
 
 
 def node_c(made: Program) -> str:
