@@ -518,3 +518,24 @@ def test_intervals_at_low_rates_contain_the_truth(rate):
     flight = fly_one(compose(words))
     delays = [belief for belief in beliefs(flight) if belief.unit == "ms"] if len(flight) > 2 else []
     assert all(belief.covers[-1] for belief in delays if np.isfinite(belief.low[-1]))
+
+
+@pytest.mark.parametrize("controller", ["perfect_mpc", "geometric"])
+def test_a_flight_goes_on_from_what_is_remembered_with_the_same_bits(controller):
+    """Bank, search, decision and the plan that follows from it: all of it is declared."""
+    loop = qx.controller(f"controller={controller}", "trajectory=circle", "trajectory.speed=6", "remedies=auto")
+    reference = loop._reference
+
+    def thrusts(k):
+        rng, x = np.random.default_rng(k), reference.at(max(k - 2, 0))[0].copy()  # states of two instants ago
+        x[:3] += 0.002 * rng.normal(size=3)
+        force = np.array([0.3, 0.0, 9.8]) + 0.05 * rng.normal(size=3)
+        return loop.step(qx.Measurement(float(reference.t[k]), x, force, None), float(reference.t[k])).copy()
+
+    for k in range(70):
+        thrusts(k)
+    kept = {name: values.copy() for name, values in loop.memory.items()}
+    first = [thrusts(k) for k in range(70, 110)]
+    assert loop.controller.log()["auto_grid"] > 0  # a decision has been made
+    loop.restore(kept)
+    assert np.array_equal([thrusts(k) for k in range(70, 110)], first)
