@@ -46,7 +46,7 @@ test-fast: $(STAMP)
 # A selection with the lowest versions that pyproject.toml admits, in an environment of its own.
 LOWEST := $(VENV)-lowest
 SMOKE := tests/test_versions.py tests/log/test_store.py tests/parts/test_compose.py tests/models/test_contract.py \
-	tests/physics tests/plugins/page/test_animation.py tests/plugins/logs/test_recorded_flights.py tests/sweeps/test_results.py
+	tests/physics tests/plugins/page/test_animation.py tests/plugins/identification/test_recorded_flights.py tests/sweeps/test_results.py
 test-lowest:
 	$(PYTHON) -m venv $(LOWEST)
 	$(LOWEST)/bin/python -m pip install -qq --disable-pip-version-check --constraint constraints-lowest.txt \

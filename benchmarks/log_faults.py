@@ -29,10 +29,10 @@ from quadexp.log.store import read_flight
 from quadexp.messages import yaml
 from quadexp.models.command_lag import find_lag
 from quadexp.models.samples import gather, gather_to_fit
+from quadexp.plugins.identification.vehicle_model import FitSettings, fit_vehicle_model
 from quadexp.plugins.logs.import_flights import Outcome, import_files
 from quadexp.plugins.logs.importers import Options
 from quadexp.plugins.logs.signal.windows import STREAMS
-from quadexp.plugins.logs.vehicle_model import FitSettings, fit_vehicle_model
 
 GRAVITY = 9.81  # m/s^2
 GROUND, FLIGHT, LANDED = 10.0, 60.0, 6.0  # s
@@ -297,6 +297,8 @@ def main() -> None:
     parser.add_argument("--sound", type=Path, help="folder of public flights that must not be blocked")
     parser.add_argument("--out", type=Path, default=Path("log_faults.jsonl"))
     asked = parser.parse_args()
+    if asked.sound is not None and not any(asked.sound.glob("*.csv")):
+        parser.error(f"--sound {asked.sound}: has no CSV files")
     done = [json.loads(line) for line in asked.out.read_text().splitlines()] if asked.out.exists() else []
     known = {record["seed"] for record in done}
     for seed in range(asked.seed, asked.seed + asked.repetitions):

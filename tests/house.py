@@ -34,9 +34,10 @@ FLOORS = (
 )
 # Floors of the plug-ins, above all of the core, which imports nothing from them.
 PLUGIN_FLOORS = (
-    ("page", "remedies", "tune", "worlds", "foreign", "cluster", "neural", "exchange"),
-    ("papers", "auto", "bench", "gym", "vehicle", "archive"),
-    ("logs",),
+    ("page", "remedies", "tune", "worlds", "foreign", "cluster", "neural", "exchange", "logs"),
+    ("papers", "auto", "bench", "gym", "vehicle", "archive", "check"),
+    ("identification",),
+    ("public",),
 )
 
 

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from quadexp import messages
 from quadexp.cli.terminal import print_lines
-from quadexp.plugins.logs.check.candidates import flow
+from quadexp.plugins.check.candidates import flow
 from quadexp.plugins.page.document import sortable_page
 from quadexp.plugins.tune.preset import _yaml
 from quadexp.report.style import Figure, plain_log, styled

@@ -164,10 +164,13 @@ def show(
         raise UsageError(f"--out {out}: only beliefs are drawn: give --beliefs")
     if margins and beliefs:
         raise UsageError("show: --margins and --beliefs: one at a time")
+    from quadexp.parts.options import given_folders
+
     if margins:
         return _margins([str(path), *overrides], conf)
-    if overrides or conf:
+    if overrides:
         raise UsageError("show: settings are for --margins")
+    given_folders(conf)
     if beliefs:
         return _beliefs(path, out, force)
     from quadexp.report.summary import summarise
@@ -208,6 +211,7 @@ def compare(
     others: Annotated[tuple[Path, ...], Ask("Others of the same kind, each compared with the first.", "FILE")],
     out: Annotated[Path | None, Ask("Draw them too: a png, pdf or svg.", "PATH", "--out -o")] = None,
     force: Force = False,
+    conf: Conf = (),
 ) -> Answer:
     """Show how flights, results or checkpoints differ: configuration, outcome, figures.
 
@@ -215,6 +219,7 @@ def compare(
     quadexp compare runs/a.parquet runs/b.parquet runs/c.parquet --out compare.png
     quadexp compare results/table1 results/table1_again
     """
+    from quadexp.parts.options import given_folders
     from quadexp.report.checked import check_flights
     from quadexp.report.compare import compare as compared
     from quadexp.report.frame import read_results
@@ -223,6 +228,7 @@ def compare(
         from quadexp.report.style import check_path
 
         out = check_path(out, force)
+    given_folders(conf)
     report = compared(first, *others)
     if out is not None:
         from quadexp.report.style import save_figure

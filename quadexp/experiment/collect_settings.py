@@ -13,7 +13,7 @@ from quadexp.parts.settings import key, keyed
 class CollectConfig(Part):
     """How a data set is flown: flights of at most `flight_duration` until `duration` is reached, speeds spread evenly
     over [speed_min, speed_max]. mode: random (smooth random paths) or setpoints (jumps between random points).
-    target, identified: of recorded flights; see quadexp/plugins/logs/recorded.py."""
+    target, identified: of recorded flights; see quadexp/plugins/identification/recorded.py."""
 
     prefix = "collect."
 

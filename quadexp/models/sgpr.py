@@ -3,7 +3,7 @@
 Steps for each output: scaling (features to mean 0 and standard deviation 1, the target by its root mean square) ->
 hyperparameters of an exact GP on a few rows -> inducing points where the remaining variance is largest -> both
 optimised together, first on part of the rows, then on all -> posterior in physical units. Recorded flights are first
-brought to a common thrust scale (quadexp.plugins.logs.recorded).
+brought to a common thrust scale (quadexp.plugins.identification.recorded).
 
 Exact GP: log N(y | 0, K_XX + sigma_n^2 I). Sparse: Titsias' collapsed variational bound (2009, eq. 9),
 

@@ -21,7 +21,7 @@ from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import symbolic_residual
 from quadexp.parts.compose import compose
-from quadexp.plugins.logs.from_model import FromModelPlant
+from quadexp.plugins.identification.from_model import FromModelPlant
 from quadexp.plugins.papers.lei_li.plant import BladeElementEffects, BladeElementPlant, PlantChange
 from quadexp.plugins.worlds.battery import Battery
 from quadexp.plugins.worlds.dryden import Dryden

@@ -13,7 +13,7 @@ from quadexp.models.checkpoint import MODEL_FILE, load_model, load_report, save_
 from quadexp.models.linear_drag import LinearDrag
 from quadexp.parts.compose import compose
 from quadexp.physics.state import STATE_COLUMNS, input_columns
-from quadexp.plugins.logs.identify import identify_files, read_recorded
+from quadexp.plugins.identification.identify import identify_files, read_recorded
 
 TRIES = 300
 

@@ -6,7 +6,7 @@ import pytest
 from quadexp.models.command_lag import find_lag, lagged
 from quadexp.models.regression import half_width
 from quadexp.models.samples import gather, gather_to_fit
-from quadexp.plugins.logs.thrust_curve import CurveSettings, fit_thrust_samples
+from quadexp.plugins.identification.thrust_curve import CurveSettings, fit_thrust_samples
 from tests.models.late_flights import C, late_flight
 
 SQUARED = CurveSettings(powers=(2,))

@@ -15,8 +15,8 @@ from quadexp.models.rotor_thrust import HeldCommands, Timing, fit_timing, mean_t
 from quadexp.models.samples import read_rows
 from quadexp.parts.compose import compose
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, input_columns
-from quadexp.plugins.logs.validation import Track, predictors, rollout_errors
-from quadexp.plugins.logs.vehicle_model import FitSettings, fit_vehicle_model
+from quadexp.plugins.identification.validation import Track, predictors, rollout_errors
+from quadexp.plugins.identification.vehicle_model import FitSettings, fit_vehicle_model
 from quadexp.plugins.worlds.battery import Battery
 from quadexp.world.actuator import Actuator
 from quadexp.world.link import Latency

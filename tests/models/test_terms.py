@@ -14,9 +14,9 @@ from quadexp.models.residual import AXES
 from quadexp.models.terms import SELF_CONSISTENT, Z_TERMS, Inflow, TermStructure, all_columns, fit_terms, term_residual
 from quadexp.physics.blade_element import motor_coefficients, static_coefficients
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
-from quadexp.plugins.logs.inflow import fit_inflow, momentum_of
-from quadexp.plugins.logs.thrust_curve import ThrustCurve
-from quadexp.plugins.logs.vehicle_model import VehicleModel
+from quadexp.plugins.identification.inflow import fit_inflow, momentum_of
+from quadexp.plugins.identification.thrust_curve import ThrustCurve
+from quadexp.plugins.identification.vehicle_model import VehicleModel
 from tests.models.air_data import air_data
 
 CHOSEN = (

@@ -23,7 +23,7 @@ STEP = (
 JACOBIANS = ("tests/physics/test_sensitivity.py", "tests/properties/test_jacobians.py")
 DELAYS = (
     "tests/plugins/remedies/delay",
-    "tests/plugins/logs/test_identify_delays.py",
+    "tests/plugins/identification/test_identify_delays.py",
     "tests/plugins/remedies/test_delay_remedies.py",
 )
 RESIDUAL = (
@@ -63,7 +63,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/plugins/remedies/adapt_block.c": ("tests/plugins/remedies/test_online.py",),
     "quadexp/plugins/neural/neural_*.c": ("tests/models/test_residuals.py", "tests/plugins/neural/test_neural.py"),
     "quadexp/models/residual.py": RESIDUAL,
-    "quadexp/plugins/logs/inflow.py": RESIDUAL,
+    "quadexp/plugins/identification/inflow.py": RESIDUAL,
     "quadexp/models/terms.py": RESIDUAL,
     "quadexp/models/linear_drag.py": (*RESIDUAL, "tests/models/test_linear_drag.py"),
     "quadexp/models/gaussian_process.py": (*RESIDUAL, "tests/models/test_gp_fit.py"),
@@ -85,8 +85,8 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/plugins/remedies/test_observers.py",
     ),
     "quadexp/plugins/remedies/online_mpc.py": ("tests/plugins/remedies/test_online_mpc.py",),
-    "quadexp/plugins/logs/timing.py": DELAYS,
-    "quadexp/plugins/logs/moments.py": DELAYS,
+    "quadexp/plugins/identification/timing.py": DELAYS,
+    "quadexp/plugins/identification/moments.py": DELAYS,
     "quadexp/plugins/remedies/delay/*.py": DELAYS,
     "quadexp/plugins/remedies/indi.py": ("tests/plugins/remedies/test_indi.py",),
     "quadexp/plugins/remedies/l1.py": ("tests/plugins/remedies/test_l1.py",),

@@ -10,6 +10,7 @@ import pytest
 from quadexp.plugin import BRINGS, shipped_plugins
 from tests.faults.command import apart
 from tests.house import PACKAGE, ROOT, plugins
+from tests.plugins.logs.importers.logs import truth, ulog
 
 FLIGHT = ("controller=nominal_mpc", "trajectory=hover", "trajectory.duration=1")
 
@@ -46,6 +47,17 @@ def test_the_program_flies_without_it(name, checkout):
     for word in list(brings)[:1]:
         refused = command(word, "x")
         assert refused.returncode == 2 and refused.stderr.count("\n") == 1 and word in refused.stderr, refused.stderr
+
+
+def test_logs_are_read_without_what_checks_them(checkout):
+    folder, command = checkout
+    shutil.rmtree(folder / "quadexp" / "plugins" / "check")
+    ulog(folder / "a.ulg", truth(duration=5.0))
+    words = ("import", "a.ulg")
+    done = command(*words, "--out", "flights")
+    assert done.returncode == 0 and "not checked: no plug-in" in done.stdout, done.stdout + done.stderr
+    for refused in (command(*words, "--bad-rows", "drop", "--out", "again"), command("import", "--describe", "a.ulg")):
+        assert refused.returncode != 0 and "no plug-in that is there brings" in refused.stdout + refused.stderr
 
 
 def test_the_core_does_its_work_without_all_of_them(checkout):

@@ -6,7 +6,7 @@ import numpy as np
 
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.physics.state import ATTITUDE
-from quadexp.plugins.logs.from_model import FromModelPlant
+from quadexp.plugins.identification.from_model import FromModelPlant
 from quadexp.plugins.papers.lei_li.plant import BladeElementEffects, BladeElementPlant
 from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.streams import Sampled

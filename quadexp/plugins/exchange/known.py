@@ -1,6 +1,6 @@
 """What is known of a vehicle: numbers with units, 95 % intervals and origin.
 
-Of a rotor at signal s and battery voltage V, with the thrust curve of `identify` (quadexp.plugins.logs.thrust_curve):
+Of a rotor at signal s and battery voltage V, with the curve of quadexp.plugins.identification.thrust_curve:
 
     r     = (V / V_ref)^g                    1 where the curve does not use the voltage
     a     = c1 s + c2 s^2                    thrust per vehicle mass, m/s^2; c1, c2: the curve's times r, r^2

@@ -1,16 +1,16 @@
-"""Commands that take recorded flights in: `quadexp import`, `check`. Only light modules are imported at the top."""
+"""The command that takes recorded flights in: `quadexp import`. Only light modules are imported at the top."""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from quadexp.cli.command import Answer, Ask, Conf, Force, command
 from quadexp.cli.terminal import print_lines
 from quadexp.errors import UsageError
+from quadexp.plugin import service
 from quadexp.plugins.logs import BRINGS
 
 HEADING = "Learn"
@@ -19,7 +19,6 @@ BAD_ROWS = (
     "Repeated rows, outliers, stretches of a dead logger: refuse the log, drop them (bridged where short), or make each"
     " a gap."
 )
-Vehicle = Annotated[str | None, Ask("Of the configuration, not the flight's own.", "NAME")]
 
 
 @command
@@ -50,12 +49,11 @@ def import_(
     """
     from quadexp.plugins.logs.import_flights import import_files
     from quadexp.plugins.logs.importers import Options
-    from quadexp.plugins.logs.importers.describe import describe_log
 
     if describe:
         if len(logs) != 1:
             raise UsageError(f"--describe: {len(logs)} logs are given, one is needed")
-        proposed = describe_log(logs[0])
+        proposed = service("describe_log", "--describe")(logs[0])
         return Answer(proposed.record(), [], proposed.yaml().splitlines(), proposed.warnings)
     turned = (_angles("--mounting", mounting), _angles("--gyro-mounting", gyro_mounting))
     options = Options(log_format, mapping, rate, crop, align, *turned, bad_rows)
@@ -87,67 +85,3 @@ def _angles(option: str, text: str | None) -> tuple[float, float, float] | None:
     if not all(math.isfinite(x) and abs(x) <= 360 for x in (roll, pitch, yaw)):
         raise UsageError(f"{option}: '{text}' must be in [-360, 360] deg")
     return roll, pitch, yaw
-
-
-@command
-def check(
-    flights: Annotated[tuple[Path, ...], Ask("Flights of `quadexp import`.", "FLIGHT")],
-    vehicle: Vehicle = None,
-    figures: Annotated[Path | None, Ask("Draw every flight's streams against each other.", "DIR")] = None,
-    strict: Annotated[bool, Ask("Warnings block as well.")] = False,
-    conf: Conf = (),
-) -> Answer:
-    """Check units, frames, signs, clock, sensors and commands of flights, and whether one is there twice.
-
-    Exit code 1 where a finding blocks: what would be learned from that flight would be wrong.
-
-    \b
-    quadexp check flights/nanobench/*.parquet
-    quadexp check flights/a.parquet --figures figures/check --strict
-    """
-    from quadexp.plugins.logs import requests
-    from quadexp.report.table import Table
-
-    names = ("severity", "name", "where", "measured", "allowed", "advice")
-    stops = {"blocking", "warning"} if strict else {"blocking"}
-    checked = requests.check(flights, vehicle, conf)
-    drawn = _draw(figures, checked) if figures is not None else {}
-    records: list[dict[str, Any]] = []
-    lines: list[Any] = []
-    blocked = 0
-    for flight in checked:
-        stopped = not stops.isdisjoint(flight.severities)
-        blocked += stopped
-        records.append({
-            "path": flight.path, "rows": len(flight.flight), "duration": flight.duration, "vehicle": flight.vehicle,
-            "blocked": stopped, "findings": [finding.record() for finding in flight.findings],
-            "figure": drawn.get(flight.path),
-        })  # fmt: skip
-        title = f"{flight.path}: {len(flight.flight)} rows, {flight.duration:.1f} s"
-        cells = [[getattr(finding, name) for name in names] for finding in flight.findings]
-        lines += [Table(names, cells, title, left=frozenset(range(6)))] if cells else [title, "  nothing found"]
-        lines += [f"  {drawn[flight.path]}", ""] if flight.path in drawn else [""]
-    clean = sum(flight.severities <= {"info"} for flight in checked)
-    warned, stopping = (sum(name in flight.severities for flight in checked) for name in ("warning", "blocking"))
-    count = "1 flight" if len(checked) == 1 else f"{len(checked)} flights"
-    lines.append(f"{count}: {clean} clean, {warned} with warnings, {stopping} blocked")
-    by = " (--strict)" if strict else ""
-    failed = [f"{blocked} of {len(checked)} flights have findings that block{by}"] if blocked else []
-    findings = [(flight.path, finding) for flight in checked for finding in flight.findings]
-    cells = [[path, *(getattr(finding, name) for name in names)] for path, finding in findings]
-    table = Table(("flight", *names), cells, left=frozenset(range(7)))
-    return Answer({"flights": records, "blocked": blocked, "strict": strict}, [table], lines, failed=failed)
-
-
-def _draw(folder: Path, checked: Sequence[Any]) -> dict[str, Path]:
-    from quadexp.plugins.logs.figures import consistency_figure
-    from quadexp.report.style import save
-
-    drawn: dict[str, Path] = {}
-    for flight in checked:
-        stem = Path(flight.path).stem
-        more = (f"{stem}_{k}" for k in range(2, len(checked) + 2))
-        names = (stem, f"{Path(flight.path).parent.name}_{stem}", *more)
-        file = next(folder / f"{name}.png" for name in names if folder / f"{name}.svg" not in drawn.values())
-        drawn[flight.path] = save(consistency_figure(stem, flight.flight, flight.findings), file)
-    return drawn

@@ -12,7 +12,8 @@ from quadexp.experiment.vehicle_of import refuse_repeated, vehicle_named
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from quadexp.parts.options import Folders
-from quadexp.plugins.logs.check import Finding, check_flight
+from quadexp.plugin import brought
+from quadexp.plugins.logs.finding import Finding
 from quadexp.plugins.logs.importers import Options, checked, import_log
 from quadexp.progress import doing
 from quadexp.writer import check_output
@@ -73,7 +74,12 @@ def import_files(
         except (MemoryError, RecursionError) as error:
             yield Outcome(log, cause=f"too large or too deeply nested to read ({type(error).__name__})")
         else:
-            outcome = Outcome(log, notes=notes, findings=check_flight(flight, named))
+            check_flight = brought("services", "check_flight")
+            outcome = Outcome(log, notes=notes)
+            if check_flight is None:
+                outcome.notes.append("not checked: no plug-in that is there brings 'check_flight' (quadexp/plugins)")
+            else:
+                outcome.findings = check_flight(flight, named)
             yield _finish(outcome, flight, path, seen, keep, force)
 
 

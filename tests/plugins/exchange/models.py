@@ -6,7 +6,7 @@ import numpy as np
 
 from quadexp.experiment.vehicle_of import vehicle_named
 from quadexp.log.schema import Flight
-from quadexp.plugins.logs.vehicle_model import FitSettings, VehicleModel, fit_vehicle_model
+from quadexp.plugins.identification.vehicle_model import FitSettings, VehicleModel, fit_vehicle_model
 from tests.models.logged_flights import logged_flight
 
 CURVE = (1.5, 3.0)  # m/s^2 of s V/4 and its square: of tests.models.logged_flights

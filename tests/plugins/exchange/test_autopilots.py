@@ -11,7 +11,7 @@ from quadexp.errors import UsageError
 from quadexp.experiment.vehicle_of import vehicle_named
 from quadexp.plugins.exchange.autopilots import px4_sih
 from quadexp.plugins.exchange.known import known_of
-from quadexp.plugins.logs.vehicle_model import FitSettings, fit_vehicle_model
+from quadexp.plugins.identification.vehicle_model import FitSettings, fit_vehicle_model
 from tests.plugins.exchange.models import CURVE, crazyflie, crazyflie_flights, relative, states, torque
 
 VEHICLE = vehicle_named("crazyflie", None)

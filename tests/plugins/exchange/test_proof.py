@@ -6,7 +6,7 @@ from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.plugins.exchange.known import known_of
 from quadexp.plugins.exchange.simulators import rotorpy
-from quadexp.plugins.logs.vehicle_model import FitSettings, fit_vehicle_model
+from quadexp.plugins.identification.vehicle_model import FitSettings, fit_vehicle_model
 from tests.plugins.exchange.models import HUMMINGBIRD, VEHICLES
 
 PLANT = ["vehicle=hummingbird", "plant=rotorpy", "controller=nominal_mpc", "trajectory=lemniscate"]

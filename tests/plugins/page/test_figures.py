@@ -5,7 +5,8 @@ import pytest
 
 from quadexp.errors import UsageError
 from quadexp.log.schema import Flight
-from quadexp.plugins.logs.figures import Profile, consistency_figure, delay_figure
+from quadexp.plugins.check.figures import consistency_figure
+from quadexp.plugins.identification.figures import Profile, delay_figure
 from quadexp.plugins.page.flight_figures import flights_figure, tracked_paths
 from quadexp.report.style import save
 from tests.log.flights import straight_flight

@@ -18,6 +18,7 @@ from quadexp.log.runs import period_of, runs
 from quadexp.log.schema import Flight
 from quadexp.names import named
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugin import service
 from quadexp.plugins.logs.importers.assemble import SHORTEST, assemble
 from quadexp.plugins.logs.importers.mapping import Mapping, load_mapping
 from quadexp.plugins.logs.importers.raw import RawLog, corrected, read_mapped
@@ -124,7 +125,8 @@ def read_log(path: Path, form: str, mapping: Mapping | None) -> RawLog:
     table = open_table(path) if kind == "csv" else None
     if table is None or mapping.format != table.format:
         kind = kind if table is None else table.format
-        raise DataError(f"{path}: its content is {kind}, the mapping {mapping.name} is for {mapping.format}")
+        said = f"{path}: its content is {kind}, the mapping {mapping.name} is for {mapping.format}"
+        raise DataError(f"{said}; its key is `format: {kind}`")
     return read_mapped(table, mapping)
 
 
@@ -184,8 +186,7 @@ def without_bad_rows(
     one is a gap. "gap": every run is one. A gap starts a new segment. derived: whether the velocity is that of the
     position, and made anew.
     """
-    from quadexp.plugins.logs.check import inspect_flight
-
+    inspect_flight = service("inspect_flight", f"--bad-rows {mode}")
     counts: dict[str, int] = {}
     total, length = 0, len(flight)
     for _ in range(ROUNDS):

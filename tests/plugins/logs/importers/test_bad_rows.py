@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from quadexp.log.schema import Flight
-from quadexp.plugins.logs.check import check_flight
-from quadexp.plugins.logs.check.samples import check_dead
+from quadexp.plugins.check.quality import check_flight
+from quadexp.plugins.check.samples import check_dead
 from tests.log.imitated import VEHICLES, imitated
 from tests.models.recorded_data import blackbird, nanobench
-from tests.plugins.logs.check.faults import P, Q, V, at, changed
+from tests.plugins.check.faults import P, Q, V, at, changed
 from tests.plugins.logs.importers.logs import imported
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quadexp.log.schema import Flight
-from quadexp.plugins.logs.check import check_flight
+from quadexp.plugins.check.quality import check_flight
 from quadexp.plugins.logs.importers import Options, checked, import_log
 from quadexp.plugins.logs.signal.rest import at_rest
 from tests.plugins.logs.importers.logs import MAPPING, truth, ulog, write_csv

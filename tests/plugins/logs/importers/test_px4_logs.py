@@ -4,7 +4,7 @@ rates, outputs that drive more than rotors. They import with what they have, and
 import numpy as np
 import pytest
 
-from quadexp.plugins.logs.check import check_flight
+from quadexp.plugins.check.quality import check_flight
 from quadexp.plugins.logs.importers import Options, import_log
 from tests.plugins.logs.importers import logs
 

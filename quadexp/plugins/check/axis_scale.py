@@ -1,0 +1,202 @@
+"""Factors of single axes: which column of a sensor is in another unit, or reads too much.
+
+Of one axis of a relation, x_k what the motion says over a window and y_k what the sensor read, both less their means:
+
+    low  = sum x y / sum x^2            too small where x is noisy
+    high = sum y^2 / sum x y            too large where y is noisy
+
+The true gain lies between both where their noises are independent (Frisch 1934), so that a factor is seen where both
+lie on one side of 1. What the motion says is differentiated and the noisier side: the estimate is `high`. Standard
+errors are those of a jackknife over stretches of the flight. Of a force, x and y are means over a window in the body
+as it turns, which a difference of velocities has the least noise in:
+
+    x = sum_k R_k^T (v_k+1 - v_k + g e_z dt) / T,     y = mean f
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from quadexp.physics.vehicle import GRAVITY
+from quadexp.plugins.check.candidates import COLUMNS, KEYS, STRETCHES, Candidate
+from quadexp.plugins.logs.signal.windows import UP, Windows, pairs
+from quadexp.plugins.logs.units import UNITS
+
+KEPT = 0.9  # share of the windows: knocks are left out
+REFITS = 3
+SURE = 5.0  # standard errors
+IN_UNIT = 3.0  # standard errors, within which a factor may be that of a unit
+NEAR_UNIT = 0.04  # of the logarithm, to which it may be besides
+WIDEST = 2.5  # high over low, up to which a unit is told
+LEAST_CORRELATION = 0.3
+ALIKE = 0.03  # within which an axis has the factor of all
+BLOCKS = 0.08  # of a gyro or accelerometer: less is a calibration
+COST, COST_AXIS = 1.2, 0.2
+DIMENSIONS = {"p": "length", "v": "velocity", "w": "rate", "f": "acceleration"}
+LEAST = {"velocity": 0.015, "rate": 0.03, "force": 0.03}  # deviation of a gain from 1
+LEAST_OF_ALL = 0.015  # of the three axes of a gyro together
+# Of a force beside the thrust, an attitude that leans with the motion makes as much (share, m/s^2 root mean square).
+LATERAL, LATERAL_EFFECT = 0.1, 0.1
+
+
+class Gains(NamedTuple):
+    """Of one relation: of x, y, z and of all together, (4,). signal: of the motion, root mean square less its mean.
+    correlation: of both sides."""
+
+    low: np.ndarray
+    high: np.ndarray
+    low_error: np.ndarray
+    high_error: np.ndarray
+    signal: np.ndarray
+    correlation: np.ndarray
+
+    def apart(self, least: np.ndarray) -> np.ndarray:
+        """Whose gain is surely further from 1 than `least`, (4,). None where an axis is reversed: that is another
+        fault, which is named first."""
+        if self.correlation.min() < -LEAST_CORRELATION:
+            return np.zeros(4, bool)
+        above = self.low - SURE * self.low_error > 1 + least
+        below = (self.high + SURE * self.high_error < 1 - least) & (self.high > 0)
+        return (self.correlation > LEAST_CORRELATION) & (above | below)
+
+    @property
+    def nearest(self) -> np.ndarray:
+        """How far from 1 the gain is at least, (4,)."""
+        return np.maximum(np.maximum(self.low - 1, 1 - self.high), 0.0)
+
+
+def gains(x: np.ndarray, y: np.ndarray, windows: int) -> Gains:
+    """Of what the motion says and a sensor read, (n, 3), n a multiple of the number of windows."""
+    kept = _near(y - x)
+    for _ in range(REFITS):  # about the line that was found, else large motions are left out
+        low, high, correlation = _regressions(x[kept], y[kept])
+        middle = np.sqrt(np.maximum(low * high, 1e-300))[:3]
+        kept = _near(y - np.where(correlation[:3] > LEAST_CORRELATION, middle, 1.0) * x)
+    stretch = (np.arange(len(x)) % windows * STRETCHES // windows)[kept]
+    x, y = x[kept], y[kept]
+    low, high, correlation = _regressions(x, y)
+    rest = [_regressions(x[stretch != k], y[stretch != k]) for k in np.unique(stretch)]
+    low_error, high_error = (_jackknife([each[i] for each in rest]) for i in (0, 1))
+    signal = x.std(axis=0)
+    signal = np.append(signal, np.linalg.norm(signal))
+    return Gains(low, high, low_error, high_error, signal, correlation)
+
+
+def _near(gap: np.ndarray) -> np.ndarray:
+    """Mask (n,) of the smaller KEPT of gaps (n, 3), each axis less its median and over its scatter."""
+    gap = gap - np.median(gap, axis=0)
+    scale = np.maximum(np.median(np.abs(gap), axis=0), 1e-9)
+    size = np.sum((gap / scale) ** 2, axis=1)
+    return size <= np.quantile(size, KEPT)
+
+
+def _regressions(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Both gains and the correlation, (4,) each."""
+    x = x - x.mean(axis=0)
+    y = y - y.mean(axis=0)
+    xx, yy, xy = (np.sum(product, axis=0) for product in (x * x, y * y, x * y))
+    xx, yy, xy = (np.append(sums, sums.sum()) for sums in (xx, yy, xy))
+    least = 1e-20 * (1.0 + xx + yy)  # an axis that does not move has the gain 1
+    xx, yy, xy = xx + least, yy + least, xy + least
+    return xy / xx, yy / np.where(np.abs(xy) > least / 2, xy, least), xy / np.sqrt(xx * yy)
+
+
+def _jackknife(estimates: list[np.ndarray]) -> np.ndarray:
+    count = len(estimates)
+    if count < 3:
+        return np.full(4, np.inf)
+    return np.sqrt((count - 1) * np.var(estimates, axis=0))
+
+
+def axis_candidates(windows: Windows) -> list[Candidate]:
+    """Streams of which some axes have another factor than the rest, and gyros that have a small one."""
+    known = {pair.name: pair for pair in pairs(windows)}
+    found: list[Candidate] = []
+    if (velocity := known.get("velocity")) is not None:
+        gain = gains(velocity.expected, velocity.measured, len(windows.t))
+        off = gain.apart(np.full(4, LEAST["velocity"]))[:3]
+        found += _candidates("v", off, gain.low, gain.high, gain)
+        found += _candidates("p", off, 1 / gain.high, 1 / gain.low, gain, 0.1)
+    if (rate := known.get("rate")) is not None:
+        gain = gains(rate.expected, rate.measured, len(windows.t))
+        off = gain.apart(np.append(np.full(3, LEAST["rate"]), LEAST_OF_ALL))
+        whole = float(gain.high[3])
+        alike = (gain.low[:3] < whole + ALIKE) & (gain.high[:3] > whole - ALIKE)
+        if off[3] and alike.all() and abs(whole - 1) < 0.5:
+            found.append(_of_all("w", whole, float(gain.high_error[3])))
+        else:
+            found += _candidates("w", off[:3], gain.low, gain.high, gain)
+    if (sides := body_force(windows)) is not None:
+        gain = gains(*sides, len(windows.t))
+        least = np.array([LATERAL, LATERAL, LEAST["force"], 0.0])
+        off = gain.apart(least)[:3]
+        off[:2] &= (gain.nearest * gain.signal)[:2] > LATERAL_EFFECT
+        found += _candidates("f", off, gain.low, gain.high, gain)
+    return found
+
+
+def body_force(windows: Windows) -> tuple[np.ndarray, np.ndarray] | None:
+    """What the motion says and what the accelerometer read, means over windows in the body, (n, 3); None where a stream
+    is missing."""
+    t, streams = windows.t, windows.streams
+    if not set("qvf") <= streams.keys():
+        return None
+    step = np.diff(t, axis=1)[..., None]
+    length = (t[:, -1] - t[:, 0])[:, None]
+    turn = windows.rotation
+    f = streams["f"]
+    read = np.sum((f[:, 1:] + f[:, :-1]) / 2 * step, axis=1) / length
+    change = np.diff(streams["v"], axis=1) + GRAVITY * UP * step
+    middle = (turn[:, 1:] + turn[:, :-1]) / 2
+    return np.einsum("nlij,nli->nj", middle, change) / length, read
+
+
+def _of_all(stream: str, size: float, error: float) -> Candidate:
+    text = f"{size:.4g} times their true size (standard error {100 * error / size:.1g} %)"
+    lines = {KEYS[stream]: {"scale": float(f"{1 / size:.5g}")}}
+    severity = "warning" if abs(size - 1) < BLOCKS else "blocking"
+    return Candidate("scale", stream, text, lines, COST, severity)
+
+
+def _candidates(
+    stream: str, off: np.ndarray, low: np.ndarray, high: np.ndarray, gain: Gains, more: float = 0.0
+) -> list[Candidate]:
+    """off: axes with a factor, (3,). low, high: of the factor by which a column is too large."""
+    if not off.any():
+        return []
+    key = KEYS[stream]
+    undone = [1.0, 1.0, 1.0]
+    words, sizes, units = [], [], list[str | None]()
+    for axis in np.flatnonzero(off):
+        size = float(high[axis])
+        column = COLUMNS[stream].replace("*", "xyz"[axis])
+        error = float(gain.high_error[axis] / gain.high[axis])
+        unit = _unit(stream, float(low[axis]), size, error)
+        undone[axis] = float(f"{UNITS[DIMENSIONS[stream]][unit] if unit else 1 / size:.7g}")
+        units.append(unit)
+        sizes.append(size)
+        about = f" (in {unit})" if unit else f" (standard error {100 * error:.1g} %)"
+        words.append(f"{column} is {size:.4g} times its true size{about}")
+    small = bool(np.abs(np.array(sizes) - 1).max() < BLOCKS) and stream in "wf"
+    fault = "units" if all(units) else "scale"
+    lines: dict[str, object] = {"scale": undone}
+    if all(units) and len(units) == 3 and len(set(units)) == 1:
+        lines = {"unit": units[0]}
+    cost = COST + COST_AXIS * len(words) + more
+    severity = "warning" if small else "blocking"
+    return [Candidate(fault, stream, ", ".join(words), {key: lines}, cost, severity)]
+
+
+def _unit(stream: str, low: float, high: float, error: float) -> str | None:
+    """The unit, other than SI, that makes a column so many times too large."""
+    if not 0 < high < WIDEST * low:
+        return None
+    least = low * (1 - IN_UNIT * error) * np.exp(-NEAR_UNIT)
+    most = high * (1 + IN_UNIT * error) * np.exp(NEAR_UNIT)
+    fitting = {}
+    for unit, factor in UNITS[DIMENSIONS[stream]].items():
+        if factor != 1.0 and least < 1 / factor < most:
+            fitting[unit] = abs(np.log(high * factor))
+    return min(fitting, key=fitting.__getitem__) if fitting else None

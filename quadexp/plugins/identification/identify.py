@@ -1,0 +1,249 @@
+"""From flight files to what they tell of the vehicle, by one of three methods.
+
+rls         Lei & Li's recursive least squares on the blade-element model, flight by flight: needs rotor speeds and the
+            rotors' geometry; gives C_d0, C_la and C_D.
+regression  thrust curve, drag and lumped blade-element coefficients over all flights together: needs a signal of the
+            thrust; gives a vehicle model, a checkpoint with report and figures.
+delays      age of the estimate, dead time and lag of the commands, and the settings that follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from msgspec.structs import replace as with_changes
+
+from quadexp.errors import DataError, UsageError
+from quadexp.experiment.vehicle_of import own_vehicle, recorded_vehicle, refuse_repeated, vehicle_named
+from quadexp.log import store
+from quadexp.log.schema import Flight
+from quadexp.models.checkpoint import save_model
+from quadexp.models.dataset import WIND, ResidualDataset, by_axis
+from quadexp.models.drag_choice import chosen_drag, compare_drag
+from quadexp.models.residual import THRUST, VELOCITY
+from quadexp.models.samples import QUATERNION, RATES, READINGS, SIGNALS, Samples, gather_to_fit, rotor_columns
+from quadexp.parts.options import Folders
+from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.identification.inflow import momentum_of
+from quadexp.plugins.identification.recorded import read_recorded
+from quadexp.plugins.identification.thrust_curve import ThrustCurve, fit_thrust_samples
+from quadexp.plugins.identification.torque_gain import TorqueGain
+from quadexp.plugins.identification.vehicle_model import (
+    HOVER_INFLOW,
+    FitSettings,
+    VehicleModel,
+    best_level,
+    compare_curves,
+    fit_vehicle_model,
+    flight_by_flight,
+    selection,
+)
+from quadexp.plugins.identification.vehicle_numbers import numbers_of
+from quadexp.plugins.papers.lei_li.blade_element import Identification, identify_flight
+from quadexp.provenance import provenance, versions
+from quadexp.writer import check_output
+
+LEAST_IMPROVEMENT = 0.02  # relative, of the held-out error along z: another thrust curve replaces c_1, c_2 from here on
+EXPONENT_IMPROVEMENT = 0.1  # the same, for a fitted voltage exponent to replace 1
+EXPONENTS = (0.5, 1.5)  # plausible voltage exponents of a motor; outside, flights differ in something else
+NO_INDUCED = "blade element without induced velocity: its error on held-out flights is smaller than with it"
+
+
+class Choice(NamedTuple):
+    """A method, and why it was chosen."""
+
+    method: str
+    reason: str
+
+
+def choose_method(paths: Sequence[Path], asked: str | None, vehicle: Vehicle | None) -> Choice:
+    """rls where the flights have rotor speeds and the rotors' geometry is known, else regression.
+
+    vehicle: None: that recorded in the flights.
+    """
+    if asked is not None:
+        return Choice(asked, "as asked")
+    if not paths:
+        raise UsageError("identify: no flight given")
+    for path in paths:
+        names, record = store.column_names(path, "flight")
+        flight = Flight(dict.fromkeys(names, np.empty(0)), record)
+        if not rotor_columns(flight, "rotor_speed"):
+            return Choice("regression", f"{path} has no rotor speeds")
+        flown = vehicle or own_vehicle(flight)
+        if flown is not None and flown.rotor is None:
+            return Choice("regression", f"the geometry of {flown.name}'s rotors is not known")
+        if flown is None and flight.metadata.get("recorded"):
+            return Choice("regression", f"{path} is of a vehicle that is not in the configuration")
+    return Choice("rls", "rotor speeds and the rotors' geometry are known")
+
+
+def identify_files(
+    flights: Sequence[Path], out: Path, *, vehicle: str | None = None, conf: Folders = None, force: bool = False
+) -> list[tuple[Path, Identification]]:
+    """Identify from every flight and write <out>/<its name>.parquet, all or none.
+
+    vehicle: name in the configuration (or in the folder `conf`); None: that in the flight's metadata.
+    Raises UsageError or DataError.
+    """
+    if not flights:
+        raise UsageError("identify: no flight given")
+    paths = [out / f"{path.stem}.parquet" for path in flights]
+    refuse_repeated("identify", paths, "two flights named {path.stem} would both be written to {path}")
+    for path in paths:
+        check_output(path, force=force)
+    named = None if vehicle is None else vehicle_named(vehicle, conf)
+    results = []
+    for path in flights:
+        flight = store.read_flight(path, whole=True)
+        results.append(identify_flight(flight, named or recorded_vehicle(flight, path), name=str(path)))
+    for path, result in zip(paths, results, strict=True):
+        record = {**result.metadata(), "versions": versions(), "provenance": provenance()}
+        store.write_table(path, result.columns(), record, "estimates", force=force)
+    return list(zip(paths, results, strict=True))
+
+
+# --------------------------------------------------------------------------------------------------------- regression
+class VehicleIdentification(NamedTuple):
+    """model, samples: the fit and its data. report: JSON-able."""
+
+    model: VehicleModel
+    samples: Samples
+    report: dict[str, Any]
+
+
+def identify_vehicle(
+    flights: Sequence[Flight], names: Sequence[str], vehicle: Vehicle | None = None,
+    settings: FitSettings | None = None, *, samples: Samples | None = None,
+) -> VehicleIdentification:  # fmt: skip
+    """Fit, and compare models on held-out flights.
+
+    names: one per flight, all different. samples: of these flights, if gathered already; their columns are not needed
+    then. Where settings.powers is None the thrust curve on motor commands is selected by held-out flights.
+    Raises DataError, UsageError.
+    """
+    settings = settings or FitSettings()
+    samples = samples or gather_to_fit(flights, settings.signal, names)
+    momentum = momentum_of(vehicle, settings.radius)
+    curves = compare_curves(samples, settings) if settings.powers is None else []
+    if curves:
+        settings = chosen_curve(curves, settings)
+    ladder = selection(samples, settings, momentum)
+    air = compare_drag(rows_of_samples(samples, settings))
+    best = chosen_drag(air) or best_level(ladder)
+    if best not in ("linear", *settings.kinds) or next(row for row in ladder if row["level"] == best)["note"]:
+        best = best_level(ladder)
+    with_inflow = any(row["level"] == "blade_element" and not row["note"] for row in ladder)
+    if with_inflow and best_level(ladder, ("blade_element", HOVER_INFLOW)) == HOVER_INFLOW:
+        settings = replace(settings, induced=False)
+        best = HOVER_INFLOW if best == "blade_element" else best
+    kept = "blade_element" if best == HOVER_INFLOW else best
+    model = fit_vehicle_model(flights, vehicle, settings, names=names, samples=samples, best=kept)
+    torque, hidden = torque_of(flights, names, vehicle, samples, model.thrust)
+    model = with_changes(model, torque=torque, notes=(*model.notes, *hidden))
+    if not settings.induced:
+        model = with_changes(model, notes=(*model.notes, NO_INDUCED))
+    model = with_changes(model, versions=versions())
+    alone = flight_by_flight(samples, settings)
+    numbers = numbers_of(model.thrust, samples, alone, vehicle, torque)
+    report = {
+        "kind": "vehicle_model", "vehicle": model.vehicle, "dataset": model.dataset, "signal": samples.kind,
+        "thrust": str(model.thrust), "models": {kind: terms.records() for kind, terms in model.models.items()},
+        "flights": alone, "curves": curves, "air": air, "numbers": numbers,
+        "torque": None if torque is None else torque.record(), "selection": ladder, "best": model.best,
+        "best_row": best, "notes": list(model.notes),
+    }  # fmt: skip
+    return VehicleIdentification(model, samples, report)
+
+
+def rows_of_samples(samples: Samples, settings: FitSettings) -> ResidualDataset:
+    """Residual beyond the thrust curve as `quadexp collect` has it, for a vehicle of 1 kg."""
+    curve = fit_thrust_samples(samples, settings, intervals=False)[0]
+    rotors = curve.of_signal(samples.signal, samples.voltage)
+    residual = samples.force - rotors.sum(axis=1)[:, None] * [0, 0, 1]
+    columns = {"flight": samples.flight, **by_axis(v=samples.velocity, a=residual)}
+    columns |= {f"u_{i}": rotor for i, rotor in enumerate(rotors.T)} | {THRUST: rotors.sum(axis=1)}
+    return ResidualDataset(columns, {"recorded": True, "vehicle": {"mass": 1.0}})
+
+
+def torque_of(
+    flights: Sequence[Flight], names: Sequence[str], vehicle: Vehicle | None, samples: Samples, curve: ThrustCurve
+) -> tuple[TorqueGain | None, list[str]]:
+    """The gain of the rotors' torque, or a note why there is none."""
+    from quadexp.plugins.identification.torque import torque_data, torque_gain
+
+    if vehicle is None:
+        return None, ["no torque: the vehicle is not known, whose arms it needs"]
+    try:
+        return torque_gain(torque_data(flights, names, vehicle, samples, curve), vehicle), []
+    except DataError as error:
+        return None, [f"no torque: {error}"]
+
+
+def chosen_curve(curves: Sequence[Mapping[str, Any]], settings: FitSettings) -> FitSettings:
+    """The settings with the curve of `compare_curves` of least held-out error (by half flights where there are such).
+
+    The default, c_1 s + c_2 s^2 of s V/V_ref, stays unless another is better by LEAST_IMPROVEMENT. V^g is fitted where
+    that is better by EXPONENT_IMPROVEMENT, with g within EXPONENTS, on two flights or more.
+    """
+    key = "halves_out" if any(row["halves_out"] is not None for row in curves) else "held_out"
+    scored = {(tuple(row["powers"]), row["voltage"]): row[key] for row in curves if row[key] is not None}
+    plain = {powers: error for (powers, voltage), error in scored.items() if voltage == "V"}
+    plain = plain or {powers: error for (powers, voltage), error in scored.items() if voltage == "unused"}
+    if not plain:
+        return settings
+    best = min(plain, key=plain.__getitem__)
+    if best != (1, 2) and plain[best] < (1 - LEAST_IMPROVEMENT) * plain.get((1, 2), np.inf):
+        settings = replace(settings, powers=best)
+    motors = [row for row in curves if row["voltage"] == "V^g" and row[key] is not None]
+    motors = [row for row in motors if EXPONENTS[0] <= row["exponent"] <= EXPONENTS[1]]
+    by_exponent = min(motors, key=lambda row: row[key], default=None)
+    if by_exponent is not None and by_exponent[key] < (1 - EXPONENT_IMPROVEMENT) * plain[best]:
+        settings = replace(settings, powers=tuple(by_exponent["powers"]), voltage_exponent=None)
+    return settings
+
+
+def _lean(flight: Flight) -> Flight:
+    """The flight with the columns that the torque needs, to free the others."""
+    needed = ("t", "segment", "battery_voltage", *QUATERNION, *VELOCITY, *WIND, *READINGS, *RATES)
+    kept = {name: column for name, column in flight.columns.items() if name in needed}
+    for kind in SIGNALS:
+        kept |= {name: flight.columns[name] for name in rotor_columns(flight, kind)}
+    return Flight(kept, flight.metadata)
+
+
+def identify_flights(
+    paths: Sequence[Path], out: Path, vehicle: Vehicle | None, settings: FitSettings, *, force: bool = False,
+    figures: bool = True, conf: Folders = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Read, identify, write the checkpoint folder with its figures. vehicle: None: the one recorded in the flights, if
+    any. Returns the report, with `lines` and `main`, those that matter first.
+
+    Raises UsageError for a file given twice (it would test itself), UsageError or DataError before anything is written.
+    """
+    from quadexp.plugins.identification.lines import identification_lines, main_lines
+
+    check_output(out, force=force, folder=True)
+    refuse_repeated("identify", [path.resolve() for path in paths])
+    stems = [path.stem for path in paths]
+    names = [path.stem if stems.count(path.stem) == 1 else str(path) for path in paths]
+    flights = [read_recorded(path) for path in paths]
+    samples = gather_to_fit(flights, settings.signal, names)
+    flights = [_lean(flight) for flight in flights]
+    model, _, report = identify_vehicle(
+        flights, names, vehicle or own_vehicle(flights[0], conf), settings, samples=samples
+    )
+    save_model(out, model, report={**report, "versions": versions(), "provenance": provenance()}, force=force)
+    files = {}
+    if figures:
+        from quadexp.plugins.identification.figures import identification_figures
+        from quadexp.report.style import save
+
+        for name, figure in identification_figures(model, samples).items():
+            files[name] = str(save(figure, out / "figures" / name, inside=out))
+    texts = {"lines": identification_lines(model, report), "main": main_lines(model, report)}
+    return {"method": "regression", "out": out, "figures": files, **report, **texts}

@@ -1,0 +1,368 @@
+"""Error of models on flights that they were not fitted to: sample by sample, and open loop from a measured state.
+
+    e = f - f_model,       f_model = (0, 0, sum_i a_i) + a(v, w, a_1 .. a_n)        body FLU, m/s^2
+
+A predictor is a thrust curve and an acceleration beyond it: an identified vehicle gives one for each of its models,
+every other checkpoint one, and "nominal" is the curve alone. RMS of the vector, sqrt(mean ||e||^2), and of each axis.
+Every model is scored as fitted, and with its thrust scale tracked in flight from earlier samples
+(recorded.py). Intervals are over flights of LEAST_FLIGHTS or more, which differ from one another
+(regression.between_flights, of the RMS or the ratio of each flight, weighted as in that of all). Of fewer they are for
+these flights only: percentile bootstrap over blocks of BLOCK seconds, because neighbouring errors are correlated.
+
+Open loop, from many starts over horizons:
+
+attitude   v' = R(t) f_model(R(t)^T v, w(t), a(t)) + g,  p' = v        R, w and the rotors' signal as measured
+held       all 13 states; constant body rates
+full       all 13 states of the rigid body (quadexp.physics.rigid_body) under the rotors' thrusts and arms
+
+In all modes the model gives the specific force. "full" needs the thrust of every rotor and uses the vehicle's inertia,
+arms and reaction torques; its attitude drifts with every unmodelled torque, so "held" is the baseline for it.
+"attitude" needs no torque model; it uses Heun's method on the samples. A thrust scale tracked up to the start
+is held over the prediction. The accelerometer's error (bias, and gravity through its misalignment) does not act on the
+motion: it is estimated as the mean of f - R^T (dv/dt + g) over a flight and subtracted from the model's prediction,
+because the model was fitted to that accelerometer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from quadexp.compile.symbolic import ca
+from quadexp.errors import UsageError
+from quadexp.models.base import Model, outside_shares, rms
+from quadexp.models.checkpoint import record_of
+from quadexp.models.dataset import feature_rows
+from quadexp.models.regression import between_flights
+from quadexp.models.residual import AXES
+from quadexp.models.samples import QUATERNION, FlightRows
+from quadexp.models.terms import TermModel
+from quadexp.physics.expression import symbols
+from quadexp.physics.integrator import rk4_step
+from quadexp.physics.rigid_body import state_derivative
+from quadexp.physics.rotation import air_velocity
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY, norms, root_mean_square
+from quadexp.physics.vehicle import GRAVITY, Vehicle
+from quadexp.plugins.identification.recorded import tracked_scale
+from quadexp.plugins.identification.thrust_curve import ThrustCurve
+from quadexp.plugins.identification.vehicle_model import VehicleModel
+
+BLOCK = 2.0  # s, of the bootstrap
+DRAWS = 1000
+CONFIDENCE = 0.95
+BANDS = 4
+NOMINAL = "nominal"
+_KIND_NAMES = {"linear": "linear drag", "quadratic": "quadratic drag", "blade_element": "blade element"}
+LOST_SPEED, LOST_RATE = 100.0, 200.0  # m/s, rad/s: a prediction beyond them is stopped
+TURNING = ("held", "full")
+FAR, STEP = 10.0, 5.0  # medians of the distances of errors from their median; m/s^2
+STARTS = 120  # per flight at most, spread evenly
+POINT, WORLD_VELOCITY = ("p_x", "p_y", "p_z"), ("v_x", "v_y", "v_z")
+Acceleration = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Predictor:
+    """name: in tables. curve: thrust. beyond: (v (k, 3), w (k, 3), rotor accelerations (k, n)) -> (k, 3), m/s^2.
+
+    seen: names of the flights of the fit. ranges: of the fit, see quadexp.models.base. mass: kg, to convert rotor
+    accelerations to the thrusts in the ranges.
+    """
+
+    name: str
+    curve: ThrustCurve
+    beyond: Acceleration
+    seen: tuple[str, ...] = ()
+    ranges: dict[str, Any] = field(default_factory=dict)
+    mass: float = 1.0
+
+
+def nominal(curve: ThrustCurve, seen: tuple[str, ...] = ()) -> Predictor:
+    """The thrust curve only."""
+    return Predictor(NOMINAL, curve, lambda v, w, a: np.zeros((len(v), 3)), seen)
+
+
+def predictors(model: Model, label: str, vehicle: Vehicle, curve: ThrustCurve | None) -> list[Predictor]:
+    """The predictors of a checkpoint: the models of an identified vehicle, of every other one itself.
+
+    label: name of a model without a thrust curve of its own. curve: for it. Raises UsageError where there is none.
+    """
+    seen = tuple(model.dataset.get("names", ()))
+    if isinstance(model, VehicleModel):
+        curve, ranges = model.thrust, model.feature_range
+
+        def of(terms: TermModel) -> Acceleration:
+            return lambda v, w, a: terms.acceleration(v, a)
+
+        return [nominal(curve, seen)] + [
+            Predictor(_KIND_NAMES[kind], curve, of(terms), seen, ranges) for kind, terms in model.models.items()
+        ]
+    record = model.dataset.get("thrust")
+    thrust = record_of(record, ThrustCurve) if record else curve
+    if thrust is None:
+        raise UsageError(f"{label}: was not fitted to recorded flights; also give an identified vehicle (a folder of"
+                         " `quadexp identify`) for its thrust curve")  # fmt: skip
+
+    def beyond(v: np.ndarray, w: np.ndarray, a: np.ndarray) -> np.ndarray:
+        return model.acceleration(feature_rows(v, w, vehicle.mass * a))
+
+    return [Predictor(label, thrust, beyond, seen, model.feature_range, vehicle.mass)]
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Errors of a predictor, (k, 3) m/s^2: as fitted (error), with tracked scale (tracked); others (k,)."""
+
+    predictor: str
+    error: np.ndarray
+    tracked: np.ndarray
+    flight: np.ndarray
+    block: np.ndarray
+    speed: np.ndarray
+    outside: float | None
+
+
+def residuals(predicted: Sequence[tuple[Predictor, FlightRows]]) -> Residuals:
+    """One-step residuals of a predictor on flights, each with the predictor as it was fitted for it."""
+    parts: list[tuple[np.ndarray, ...]] = []
+    blocks, outside, rows = 0, 0, 0
+    for index, (predictor, row) in enumerate(predicted):
+        samples = row.samples
+        rotors = predictor.curve.of_signal(samples.signal, samples.voltage)
+        collective = rotors.sum(axis=1)
+        beyond = predictor.beyond(samples.velocity, row.rate, rotors)
+        error = samples.force - beyond
+        tracked = error.copy()
+        tracked[:, 2] -= tracked_scale(collective, error[:, 2], row.dt) * collective
+        error[:, 2] -= collective
+        block = blocks + (np.arange(len(samples)) * row.dt // BLOCK).astype(int)
+        blocks = int(block[-1]) + 1
+        parts.append((error, tracked, np.full(len(samples), index), block, row.speed))
+        if predictor.ranges:
+            features = feature_rows(samples.velocity, row.rate, predictor.mass * rotors)
+            outside += round(outside_shares(predictor.ranges, features)["any"] * len(samples))
+            rows += len(samples)
+    error, tracked, flight, block, speed = map(np.concatenate, zip(*parts, strict=True))
+    share = outside / rows if rows else None
+    return Residuals(predicted[0][0].name, error, tracked, flight, block, speed, share)
+
+
+def score_rows(results: Sequence[Residuals]) -> list[Row]:
+    """Per predictor one row as fitted and one tracked: RMS per axis and of the vector, with interval.
+
+    share: ratio to the nominal RMS as fitted. share_alike: ratio to the nominal RMS, tracked if this row is. Both with
+    the interval of the ratio over the same resamples.
+    """
+    base = next((result for result in results if result.predictor == NOMINAL), None)
+    rows = []
+    for result in results:
+        for tracked in (False, True):
+            error = result.tracked if tracked else result.error
+            row: Row = {"predictor": result.predictor, "thrust_tracked": tracked, "rows": len(error)}
+            row |= {f"rms_{axis}": rms(component) for axis, component in zip(AXES, error.T, strict=True)}
+            low, high = _limits(result, error)
+            row |= {"rms": rms(error), "rms_low": low, "rms_high": high, "outside": result.outside}
+            if base is not None and len(base.error) == len(error):
+                alike = base.tracked if tracked else base.error
+                for name, other in (("share", base.error), ("share_alike", alike)):
+                    low, high = _limits(result, error, other)
+                    row |= {name: rms(error) / rms(other), f"{name}_low": low, f"{name}_high": high}
+            rows.append(row)
+    return rows
+
+
+def _limits(result: Residuals, error: np.ndarray, base: np.ndarray | None = None) -> list[float]:
+    """Ends of the interval of the RMS of errors (k, 3) of a result's samples, or of its ratio to that of others."""
+    squares = np.sum(error**2, axis=1)
+    others = np.ones(len(error)) if base is None else np.sum(base**2, axis=1)
+    above, below = (np.maximum(np.bincount(result.flight, x), 1e-24) for x in (squares, others))
+    half = between_flights(0.5 * np.log(above / below), below, CONFIDENCE)
+    if not np.isnan(half):
+        return (np.sqrt(above.sum() / below.sum()) * np.exp([-half, half])).tolist()
+    above, below = (np.bincount(result.block, x) for x in (squares, others))
+    count, tail = len(above), 50 * (1 - CONFIDENCE)
+    weights = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), DRAWS)
+    return np.percentile(np.sqrt((weights @ above) / (weights @ below)), [tail, 100 - tail]).tolist()
+
+
+def band_rows(results: Sequence[Residuals]) -> list[Row]:
+    """RMS of the vector by speed, one row per predictor and band: {predictor, low, high, rows, rms, rms_tracked}."""
+    speed = np.concatenate([result.speed for result in results])
+    # Edges of bands of equal width from standstill to the largest speed, rounded to 0.1 m/s.
+    edges = np.round(np.linspace(0.0, float(speed.max()) + 0.05, BANDS + 1), 1)
+    rows = []
+    for result in results:
+        for low, high in pairwise(edges.tolist()):
+            inside = (result.speed >= low) & (result.speed < high if high < edges[-1] else result.speed <= high + 0.1)
+            if inside.sum() >= 20:
+                row = {"predictor": result.predictor, "low": low, "high": high, "rows": int(inside.sum())}
+                rows.append(row | {"rms": rms(result.error[inside]), "rms_tracked": rms(result.tracked[inside])})
+    return rows
+
+
+def _way(t: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Integral (k, 3) of a velocity, in place of a position that a log does not have."""
+    steps = np.diff(t)[:, None] * (velocity[1:] + velocity[:-1]) / 2
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+
+
+class Track:
+    """A flight's measured motion at the samples, and the accelerations by a predictor's thrust curve: `rotors` at the
+    accelerometer's reading of each sample, `ahead` over the motion that begins there."""
+
+    def __init__(self, row: FlightRows, predictor: Predictor, gravity: float = GRAVITY) -> None:
+        flight, at, self.predictor = row.flight, slice(row.first, None), predictor
+        self.name, self.dt, self.speed = row.name, row.dt, row.speed
+        self.velocity = flight.stack(WORLD_VELOCITY)[at]
+        placed = set(POINT) <= set(flight.columns)
+        self.position = flight.stack(POINT)[at] if placed else _way(flight.t[at], self.velocity)
+        self.quaternion = flight.stack(QUATERNION)[at]
+        self.rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
+        self.matrix = self.rotation.as_matrix()
+        self.rate, self.time, self.segment = row.rate, row.samples.time, row.samples.segment
+        self.wind = np.zeros_like(self.velocity) if flight.wind is None else flight.wind[at]
+        self.rotors = predictor.curve.of_signal(row.samples.signal, row.samples.voltage)
+        self.ahead = row.samples.during(self.rotors)
+        beyond = predictor.beyond(row.samples.velocity, self.rate, self.rotors)
+        thrust = row.samples.force[:, 2] - beyond[:, 2]
+        self.scale = tracked_scale(self.rotors.sum(axis=1), thrust, self.dt)
+        self.gravity = gravity
+        self.bias = accelerometer_bias(self.time, self.velocity, self.matrix, row.samples.force, self.segment, gravity)
+
+    def starts(self, steps: int) -> np.ndarray:
+        """Samples followed by `steps` more in the same segment, spread over the flight."""
+        last = len(self.time) - steps
+        if last <= 0:
+            return np.empty(0, int)
+        k = np.arange(last)
+        complete = (self.segment[k] == self.segment[k + steps]) & (
+            np.abs(self.time[k + steps] - self.time[k] - steps * self.dt) < 1.5 * self.dt
+        )
+        k = k[complete]
+        return k[:: max(1, len(k) // STARTS)]
+
+
+def accelerometer_bias(
+    time: np.ndarray, velocity: np.ndarray, matrix: np.ndarray, force: np.ndarray, segment: np.ndarray,
+    gravity: float = GRAVITY,
+) -> np.ndarray:  # fmt: skip
+    """Mean of f - R^T (dv/dt + g), (3,) (m/s^2): the accelerometer's mean error.
+
+    dv/dt is taken within each segment, (k,). Samples that are FAR typical deviations from the median are left out:
+    there an estimator has set its velocity anew.
+    """
+    errors = []
+    for rows in np.split(np.arange(len(time)), np.flatnonzero(np.diff(segment)) + 1):
+        if len(rows) > 1:
+            world = np.gradient(velocity[rows], time[rows], axis=0) + [0.0, 0.0, gravity]
+            errors.append(force[rows] - np.einsum("kji,kj->ki", matrix[rows], world))
+    error = np.concatenate(errors)
+    distance = norms(error - np.median(error, axis=0))
+    return np.mean(error[distance <= max(FAR * np.median(distance), STEP)], axis=0)
+
+
+def attitude_rollout(track: Track, starts: np.ndarray, steps: int, *, tracked: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Position and velocity at the end, each (starts, 3), world, with the measured attitude."""
+    down = np.array([0.0, 0.0, -track.gravity])
+    scale = track.scale[starts] if tracked else np.ones(len(starts))
+
+    def acceleration(k: np.ndarray, v: np.ndarray, rotors: np.ndarray) -> np.ndarray:
+        body = air_velocity(track.quaternion[k], v, track.wind[k])
+        force = track.predictor.beyond(body, track.rate[k], rotors[k]) - track.bias
+        force[:, 2] += scale * rotors[k].sum(axis=1)
+        return np.einsum("kij,kj->ki", track.matrix[k], force) + down
+
+    p, v = track.position[starts].copy(), track.velocity[starts].copy()
+    slope = acceleration(starts, v, track.ahead)
+    for j in range(steps):
+        h = (track.time[starts + j + 1] - track.time[starts + j])[:, None]
+        ahead = acceleration(starts + j + 1, v + h * slope, track.rotors)
+        p = p + h * v + h * h / 6 * (2 * slope + ahead)
+        v = v + h / 2 * (slope + ahead)
+        slope = acceleration(starts + j + 1, v, track.ahead)
+    return p, v
+
+
+def full_rollout(
+    track: Track, starts: np.ndarray, steps: int, vehicle: Vehicle, *, tracked: bool, mode: str = "full"
+) -> np.ndarray:
+    """States at the end, (starts, 13): the rigid body under the rotors' thrusts and the model's acceleration.
+
+    mode: one of TURNING. NaN after a prediction has exceeded LOST_SPEED or LOST_RATE.
+    """
+    x, u, y, h = symbols(ca.SX, x=13, u=vehicle.n_rotors, y=6, h=1)
+    step = ca.Function("step", [x, u, y, h], [rk4_step(lambda at: state_derivative(at, u, vehicle, y), x, h)])
+    scale = track.scale[starts] if tracked else np.ones(len(starts))
+    quaternion = track.rotation[starts].as_quat(scalar_first=True)
+    state = np.hstack([track.position[starts], quaternion, track.velocity[starts], track.rate[starts]])
+    first, stopped = state, np.zeros(len(starts), bool)
+    for j in range(steps):
+        k = starts + j
+        lost = (np.abs(state[:, VELOCITY]).max(axis=1) > LOST_SPEED) | (np.abs(state[:, RATE]).max(axis=1) > LOST_RATE)
+        state = np.where(lost[:, None], first, state)  # restarted at a finite state, and set to NaN below
+        stopped |= lost
+        body = air_velocity(state[:, ATTITUDE], state[:, VELOCITY], track.wind[k])
+        correction = track.predictor.beyond(body, state[:, RATE], track.ahead[k]) - track.bias
+        thrust = vehicle.mass * scale[:, None] * track.ahead[k]
+        torque = np.zeros_like(correction)
+        if mode == "held":  # J w' = 0: what holds w against the rotors' torque and the gyroscopic one
+            rate = state[:, RATE]
+            torque = np.cross(rate, rate @ vehicle.inertia_matrix) - thrust @ vehicle.allocation[1:].T
+        correction = np.hstack([correction, torque])
+        duration = track.time[k + 1] - track.time[k]
+        state = np.array(step(state.T, thrust.T, correction.T, duration[None]).full()).T
+        state[:, ATTITUDE] /= np.linalg.norm(state[:, ATTITUDE], axis=1, keepdims=True)
+    return np.where(stopped[:, None], np.nan, state)
+
+
+def rollout_errors(
+    tracks: Sequence[Track], horizons: Sequence[float], *, tracked: bool, vehicle: Vehicle | None = None,
+    mode: str = "full",
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Errors of a predictor at each horizon: {horizon, starts, lost (share), position (m), velocity (m/s)}.
+
+    The errors are RMS over starts, with their medians beside them. vehicle: None: mode "attitude"; else all 13 states
+    by `mode`, with attitude (rad) and rate (rad/s) errors too.
+    """
+    rows = []
+    for horizon in horizons:
+        steps_of = [(track, max(1, round(horizon / track.dt))) for track in tracks]
+        flown = [(track, starts, steps) for track, steps in steps_of if len(starts := track.starts(steps))]
+        if not flown:
+            continue
+        parts = [_end_errors(*each, vehicle, tracked=tracked, mode=mode) for each in flown]
+        mode_name = "attitude" if vehicle is None else mode
+        row = {"predictor": tracks[0].predictor.name, "mode": mode_name, "horizon": float(horizon)}
+        row |= {"thrust_tracked": tracked, "starts": sum(len(starts) for _, starts, _ in flown)}
+        for name in parts[0]:
+            values = np.concatenate([part[name] for part in parts])
+            finite = values[np.isfinite(values)]
+            row["lost"] = float(1 - len(finite) / len(values))
+            row[name] = root_mean_square(finite) if len(finite) else float("nan")
+            row[f"{name}_median"] = float(np.median(finite)) if len(finite) else float("nan")
+        rows.append(row)
+    return rows
+
+
+def _end_errors(
+    track: Track, starts: np.ndarray, steps: int, vehicle: Vehicle | None, *, tracked: bool, mode: str
+) -> dict[str, np.ndarray]:
+    """Size of each error at the end of predictions from some starts, (starts,)."""
+    end, errors = starts + steps, dict[str, np.ndarray]()
+    if vehicle is None:
+        position, velocity = attitude_rollout(track, starts, steps, tracked=tracked)
+    else:
+        last = full_rollout(track, starts, steps, vehicle, tracked=tracked, mode=mode)
+        position, velocity = last[:, POSITION], last[:, VELOCITY]
+        level = np.where(np.isfinite(last[:, ATTITUDE]), last[:, ATTITUDE], [1.0, 0.0, 0.0, 0.0])
+        turned = Rotation.from_quat(level, scalar_first=True).inv() * track.rotation[end]
+        errors["attitude"] = np.where(np.isfinite(last[:, 0]), turned.magnitude(), np.nan)
+        errors["rate"] = norms(last[:, RATE] - track.rate[end])
+    errors["position"] = norms(position - track.position[end])
+    return errors | {"velocity": norms(velocity - track.velocity[end])}
