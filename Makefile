@@ -8,7 +8,7 @@ QUADEXP := $(BIN)/quadexp
 # One BLAS thread per process: the sweep fills the cores by itself.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: all setup quick test test-full test-fast test-lowest test-python test-interpreted lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-ladder reproduce-sun reproduce-quick tuned leaderboard test-slow bench clean
+.PHONY: all setup quick test test-full test-fast test-lowest test-python test-interpreted lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-ladder reproduce-sun reproduce-quick tuned leaderboard test-slow bench embedded clean
 
 all: quick
 
@@ -176,6 +176,15 @@ stress: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks.all
+
+# Exported controllers on an emulated Cortex-M7 and M4F: instructions, flash, RAM and stack, as a table.
+embedded: $(STAMP)
+	@command -v arm-none-eabi-gcc >/dev/null || \
+		{ echo "skipped: no arm-none-eabi-gcc here (packages gcc-arm-none-eabi, libnewlib-arm-none-eabi)"; exit 0; }; \
+	$(BIN)/python -m pip install -qq --disable-pip-version-check 'unicorn>=2.1,<3' && mkdir -p results && \
+	{ [ -d models/gp ] || { $(QUADEXP) collect --out data/residuals.parquet --force && \
+		$(QUADEXP) fit-gp data/residuals.parquet --out models/gp --no-figures; }; } && \
+	$(BIN)/python -m benchmarks.embedded > results/embedded.md && cat results/embedded.md
 
 clean:
 	rm -rf $(VENV) $(VENV)-lowest $(VENV)-python build dist *.egg-info

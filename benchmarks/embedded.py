@@ -1,8 +1,11 @@
 """Instructions, memory and stack of exported controllers on an emulated Cortex-M7 or M4F.
 
+    python -m benchmarks.embedded [--model models/gp]      what docs/vehicle.md has in its table
     python -m benchmarks.embedded FOLDER.. [--cpu m7]      folders of `quadexp export-controller`, with prefix qx
 
-Needed: gcc-arm-none-eabi and libnewlib-arm-none-eabi of the distribution, and the package unicorn. The recorded flight
+Needed: gcc-arm-none-eabi and libnewlib-arm-none-eabi of the distribution, and the package unicorn. Where the package
+tinympc and libstdc++-arm-none-eabi-newlib are there too, the code that it generates stands beside: that MPC is linear,
+about hover, and knows neither attitude beyond small angles nor air; it computes no model in flight. The recorded flight
 is flown again in the emulator: its first steps, and those around the largest commands. An instruction is no cycle: a
 Cortex-M7 makes between one half and two a cycle.
 """
@@ -11,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import bisect
+import contextlib
 import json
 import re
 import shutil
@@ -18,18 +22,22 @@ import struct
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from quadexp.parts.compose import compose
+from quadexp.plugins.vehicle.export import export_controller
+
 HERE = Path(__file__).parent
 FLAGS = {
     "m7": ("-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "-mthumb"),
     "m4": ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-mthumb"),
 }
-COMPILER = "arm-none-eabi-gcc"
+TOOLS = "arm-none-eabi-"
 LINK = ("-ffreestanding", "-nostartfiles", "-ffunction-sections", "-fdata-sections", "-Wl,--gc-sections")
 ROOTS = ("-Wl,-u,t_step,-u,t_reset,-e,t_step,--no-warn-rwx-segments", "-lm", "-lgcc", "-lc")
 FLASH, RAM, SIZE = 0x00000000, 0x20000000, 0x100000
@@ -37,32 +45,40 @@ TOP = RAM + 2 * SIZE - 0x1000  # of the stack, which has a megabyte of its own
 END = 0x300000  # where a call returns to
 STEPS, AROUND = 4, 3  # that are flown from the start; and before each of the largest commands
 BODY = 13
+NODES, NODE = 10, 0.1  # of the published horizon, and their length (s)
+PATH = ("trajectory=lemniscate", "trajectory.speed=12")  # where rotors are at their limits
+CONTROLLERS = {
+    "nominal_mpc": ("controller=nominal_mpc",),
+    "linear_drag_mpc": ("controller=linear_drag_mpc",),
+    "gp_mpc": ("controller=gp_mpc",),
+    "geometric l1": ("controller=geometric", "adaptive=l1"),
+}
+
+
+def linked(folder: Path, cpu: str, scratch: Path) -> Path:
+    """The program of an exported folder."""
+    about = json.loads((folder / "model.json").read_text())
+    names = [name for name in ("controller.c", "model.c", "mpc.c", "node.c") if name in about["files"]]
+    files = [*(folder / name for name in names), HERE / "embedded.c"]
+    return compiled("gcc", cpu, ["-std=c11", "-ffp-contract=off", "-fno-math-errno", f"-I{folder}"], files, scratch)
+
+
+def compiled(compiler: str, cpu: str, flags: Sequence[str], files: Sequence[Path], scratch: Path) -> Path:
+    """Sources for a processor, linked as embedded.ld says."""
+    program = scratch / "controller.elf"
+    command = [f"{TOOLS}{compiler}", *FLAGS[cpu], "-T", str(HERE / "embedded.ld"), "-O2", *flags, *LINK]
+    subprocess.run([*command, *map(str, files), *ROOTS, "-o", str(program)], check=True)
+    return program
 
 
 class Board:
-    """An exported folder, linked for a processor, in memory. counts: of the blocks that ran, by address and size."""
+    """A program in the memory of a processor. counts: of the blocks that ran, by address and size."""
 
-    def __init__(self, folder: Path, cpu: str, scratch: Path) -> None:
+    def __init__(self, program: Path) -> None:
         from unicorn import UC_ARCH_ARM, UC_HOOK_BLOCK, UC_HOOK_MEM_WRITE, UC_MODE_THUMB, Uc
         from unicorn.arm_const import UC_ARM_REG_C1_C0_2, UC_ARM_REG_FPEXC, UC_CPU_ARM_MAX
 
-        self.about: dict[str, Any] = json.loads((folder / "model.json").read_text())
-        self.real = np.dtype("<f8" if self.about["real"] == "double" else "<f4")
-        self.program = scratch / "controller.elf"
-        sources = [
-            folder / name for name in ("controller.c", "model.c", "mpc.c", "node.c") if name in self.about["files"]
-        ]
-        files = [str(path) for path in (*sources, HERE / "embedded.c")]
-        script = [
-            "-T",
-            str(HERE / "embedded.ld"),
-            f"-I{folder}",
-            "-O2",
-            "-std=c11",
-            "-ffp-contract=off",
-            "-fno-math-errno",
-        ]
-        subprocess.run([COMPILER, *FLAGS[cpu], *script, *LINK, *files, *ROOTS, "-o", str(self.program)], check=True)
+        self.program = program
         self.places = {
             name: int(at, 16) for at, _, name in (line.split() for line in self._tool("nm") if line.count(" ") > 1)
         }
@@ -91,7 +107,7 @@ class Board:
                 self._machine.mem_write(address, data[offset : offset + size])
 
     def _tool(self, name: str, *flags: str) -> list[str]:
-        command = [COMPILER.replace("gcc", name), *flags, str(self.program)]
+        command = [f"{TOOLS}{name}", *flags, str(self.program)]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
 
     def _block(self, _machine: Any, address: int, size: int, _data: Any) -> None:
@@ -114,21 +130,13 @@ class Board:
             total += times * (bisect.bisect_left(starts, address + size) - bisect.bisect_left(starts, address))
         return total
 
-    def tell(self, row: np.ndarray) -> None:
-        """What a row of the vectors says to the controller; see plugins/vehicle/record.py."""
-        n = self.about["rotors"]
-        window = len(row) - BODY - 3 - 2 * n - 1
-        state, reference, force, speed, _ = np.split(row, np.cumsum([BODY, window, 3, n]))
-        for name, values in {"state": state, "window": reference, "force": force, "speed": speed}.items():
-            self._machine.mem_write(self.places[f"t_{name}"], values.astype(self.real).tobytes())
-        for name, values in {"read": force, "turning": speed}.items():
-            self._machine.mem_write(self.places[f"t_{name}"], struct.pack("<i", int(not np.isnan(values[0]))))
+    def write(self, name: str, content: bytes) -> None:
+        """What a variable of the program holds."""
+        self._machine.mem_write(self.places[name], content)
 
-    def apart(self, row: np.ndarray) -> float:
-        """Largest difference of its command from the row's (N)."""
-        n = self.about["rotors"]
-        answer = bytes(self._machine.mem_read(self.places["t_command"], n * self.real.itemsize))
-        return float(np.abs(np.frombuffer(answer, self.real).astype(float) - row[-1 - n : -1]).max())
+    def read(self, name: str, count: int) -> bytes:
+        """Likewise, so many bytes."""
+        return bytes(self._machine.mem_read(self.places[name], count))
 
     def sizes(self) -> dict[str, int]:
         """Bytes of flash and of RAM, the stack apart."""
@@ -138,46 +146,136 @@ class Board:
         return {"flash": found[".text"] + found.get(".rodata", 0) + data, "ram": data + found.get(".bss", 0)}
 
 
+class Told:
+    """An exported folder's recorded flight, told to its program row by row."""
+
+    def __init__(self, folder: Path, board: Board) -> None:
+        about: dict[str, Any] = json.loads((folder / "model.json").read_text())
+        self.board, self.real = board, np.dtype("<f8" if about["real"] == "double" else "<f4")
+        self.rotors, nodes = about["rotors"], len(about["node_times"])
+        width = BODY + BODY * nodes + self.rotors * max(nodes - 1, 1) + 19 + 3 + 2 * self.rotors + 1
+        self.rows = np.fromfile(folder / "vectors.bin", self.real).astype(float).reshape(-1, width)
+        self.commands = self.rows[:, -1 - self.rotors : -1]
+
+    def tell(self, k: int) -> None:
+        """See plugins/vehicle/record.py."""
+        n, row = self.rotors, self.rows[k]
+        window = len(row) - BODY - 3 - 2 * n - 1
+        state, reference, force, speed, _ = np.split(row, np.cumsum([BODY, window, 3, n]))
+        for name, values in {"state": state, "window": reference, "force": force, "speed": speed}.items():
+            self.board.write(f"t_{name}", values.astype(self.real).tobytes())
+        for name, values in {"read": force, "turning": speed}.items():
+            self.board.write(f"t_{name}", struct.pack("<i", int(not np.isnan(values[0]))))
+
+    def apart(self, k: int) -> float:
+        """Largest difference of the program's command from the row's (N)."""
+        answer = np.frombuffer(self.board.read("t_command", self.rotors * self.real.itemsize), self.real)
+        return float(np.abs(answer.astype(float) - self.commands[k]).max())
+
+
 def measured(folder: Path, cpu: str) -> dict[str, Any]:
     """A row of the table."""
     with tempfile.TemporaryDirectory() as scratch:
-        board = Board(folder, cpu, Path(scratch))
-        count = (
-            BODY + 3 + 2 * board.about["rotors"] + 1,
-            len(board.about["node_times"]),
-            max(len(board.about["node_times"]) - 1, 1),
-        )
-        width = count[0] + BODY * count[1] + board.about["rotors"] * count[2] + 19
-        rows = np.fromfile(folder / "vectors.bin", board.real).astype(float).reshape(-1, width)
-        n = board.about["rotors"]
-        largest = int(np.abs(rows[:, -1 - n : -1]).max(axis=1).argmax())
+        board = Board(linked(folder, cpu, Path(scratch)))
+        told = Told(folder, board)
+        largest = int(np.abs(told.commands).max(axis=1).argmax())
         steps, begun, apart = list[int](), list[int](), 0.0
-        for first, last in ((0, STEPS), (max(largest - AROUND, 0), min(largest + AROUND, len(rows) - 1))):
-            board.tell(rows[first])
+        for first, last in ((0, STEPS), (max(largest - AROUND, 0), min(largest + AROUND, len(told.rows) - 1))):
+            told.tell(first)
             board.call("t_reset")
             for k in range(first, last + 1):
-                board.tell(rows[k])
+                told.tell(k)
                 (begun if k == first else steps).append(board.call("t_step"))
-                apart = max(apart, board.apart(rows[k])) if first == 0 else apart
+                apart = max(apart, told.apart(k)) if first == 0 else apart
         numbers = {"step": int(np.median(steps[:STEPS])), "worst": max(steps), "first": max(begun)}
         return numbers | {"stack": TOP - board.lowest, "apart": apart, **board.sizes()}
 
 
+def tinympc(cpu: str) -> dict[str, Any]:
+    """A row of the code that TinyMPC generates: a linear MPC about hover, as many nodes, double; its iterations end at
+    a tolerance of 1e-3. The first call solves from 0.1 m away, the others go on along its prediction."""
+    import tinympc as package
+    from scipy.linalg import expm
+
+    vehicle = compose(["trajectory=hover"]).vehicle
+    A, B = hover_model(vehicle)
+    n, m = B.shape
+    both = expm(NODE * np.block([[A, B], [np.zeros((m, n + m))]]))
+    A, B, hover = both[:n, :n], both[:n, n:], vehicle.hover_thrust
+    solver = package.TinyMPC()
+    weights = np.diag(np.repeat([100.0, 10.0, 1.0, 0.1], 3))
+    solver.setup(A, B, weights, 0.1 * np.eye(m), NODES, rho=1.0, max_iter=100, abs_pri_tol=1e-3, abs_dua_tol=1e-3)
+    low, high = vehicle.thrust_min - hover, vehicle.thrust_max - hover
+    solver.set_bound_constraints(np.full(n, -1e17), np.full(n, 1e17), np.full(m, low), np.full(m, high))
+    x = np.zeros(n)
+    x[0] = 0.1
+    solver.set_x0(x)
+    with tempfile.TemporaryDirectory() as scratch:
+        made = Path(scratch) / "tinympc"
+        with contextlib.suppress(subprocess.CalledProcessError):  # it then builds a Python module, which is not needed
+            solver.codegen(str(made))
+        sources = [HERE / "embedded_tinympc.cpp", made / "src" / "tiny_data.cpp"]
+        sources += [made / "tinympc" / name for name in ("admm.cpp", "rho_benchmark.cpp")]
+        flags = ["-std=c++17", "-DNDEBUG", "-fno-exceptions", "-fno-rtti", "-fno-threadsafe-statics"]
+        flags += [f"-I{made}", f"-I{made / 'include'}", f"-I{made / 'include' / 'Eigen'}"]
+        board = Board(compiled("g++", cpu, flags, sources, Path(scratch)))
+        board.call("t_reset")
+        counts = []
+        for _ in range(STEPS + 1):
+            board.write("t_state", x.astype("<f8").tobytes())
+            counts.append(board.call("t_step"))
+            x = A @ x + B @ np.frombuffer(board.read("t_command", 8 * m), "<f8")
+        used = board.sizes()
+        used["ram"] += struct.unpack("<i", board.read("t_heap", 4))[0]
+        row = {"step": int(np.median(counts[1:])), "worst": max(counts), "first": counts[0]}
+        return row | {"stack": TOP - board.lowest, "apart": float("nan"), **used}
+
+
+def hover_model(vehicle: Any) -> tuple[np.ndarray, np.ndarray]:
+    """A (12, 12) and B (12, n) of position, small angles, velocity and body rates about hover."""
+    A, B = np.zeros((12, 12)), np.zeros((12, vehicle.n_rotors))
+    A[0:3, 6:9] = A[3:6, 9:12] = np.eye(3)
+    A[6, 4], A[7, 3] = vehicle.gravity, -vehicle.gravity
+    B[8] = 1 / vehicle.mass
+    B[9:12] = np.linalg.solve(vehicle.inertia_matrix, vehicle.allocation[1:])
+    return A, B
+
+
+def exports(folder: Path, model: Path) -> list[tuple[Path, str]]:
+    """The table's controllers, exported: folder and processor of every row."""
+    rows = []
+    for name, settings in CONTROLLERS.items():
+        for real, cpus in (("double", ("m7",)), ("float", ("m7", "m4"))):
+            out = folder / f"{name} {real}".replace(" ", "_")
+            known = [f"model={model}"] if name in ("gp_mpc", "linear_drag_mpc") else []
+            export_controller([*settings, *known, *PATH], out, real=real)
+            rows += [(out, cpu) for cpu in cpus]
+    return rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("folders", nargs="*", type=Path)
     parser.add_argument("--cpu", choices=[*FLAGS], default="m7")
+    parser.add_argument("--model", type=Path, default=Path("models/gp"), help="of gp_mpc and linear_drag_mpc")
     given = parser.parse_args()
-    if shutil.which(COMPILER) is None:
-        sys.exit(f"skipped: no {COMPILER} here")
+    if shutil.which(f"{TOOLS}gcc") is None:
+        sys.exit(print(f"skipped: no {TOOLS}gcc here"))
     if find_spec("unicorn") is None:
-        sys.exit("skipped: the package unicorn is not installed")
-    print(f"{'controller':28} {'step':>10} {'worst':>10} {'first':>10} {'flash':>8} {'ram':>8} {'stack':>7}  off (N)")
-    for folder in given.folders:
-        row = measured(folder, given.cpu)
-        widths = {"step": 10, "worst": 10, "first": 10, "flash": 8, "ram": 8, "stack": 7}
-        numbers = " ".join(f"{row[name]:{width},}" for name, width in widths.items())
-        print(f"{folder.name:28} {numbers}  {row['apart']:.2g}", flush=True)
+        sys.exit(print("skipped: the package unicorn is not installed"))
+    print("| controller | processor | step | worst | first | flash | RAM | stack | off (N) |\n" + "|---" * 9 + "|")
+    with tempfile.TemporaryDirectory() as scratch:
+        rows = [(folder, given.cpu) for folder in given.folders] or exports(Path(scratch), given.model)
+        for folder, cpu in rows:
+            show(folder.name, cpu, measured(folder, cpu))
+    if not given.folders and find_spec("tinympc") is not None and shutil.which(f"{TOOLS}g++"):
+        show("TinyMPC, linear, double", "m7", tinympc("m7"))
+
+
+def show(name: str, cpu: str, row: Mapping[str, Any]) -> None:
+    """A row of the table: instructions, and bytes."""
+    numbers = " | ".join(f"{row[key]:,}" for key in ("step", "worst", "first", "flash", "ram", "stack"))
+    print(f"| {name} | {cpu} | {numbers} | {row['apart']:.2g} |", flush=True)
 
 
 if __name__ == "__main__":

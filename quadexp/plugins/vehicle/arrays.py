@@ -57,6 +57,9 @@ class Arrays:
     found: list[Block] = field(default_factory=list)
     kept: list[np.ndarray] = field(default_factory=list)  # alive as long as their addresses
     blocks: list[Block] = field(default_factory=list)
+    shared: dict[int, np.ndarray] = field(
+        default_factory=dict
+    )  # address of an array -> the one that it shares memory with
 
     def add(
         self, array: np.ndarray | None, *, written: bool = False, cleared: bool = False, changed: bool = False
@@ -110,7 +113,7 @@ class Arrays:
 
     def place(self, array: np.ndarray) -> tuple[str, int]:
         """The array of C, and where in it this one begins."""
-        first, end = span(array)
+        first, end = span(self.shared.get(array.ctypes.data, array))
         block = next(block for block in self.blocks if block.first <= first and end <= block.end)
         name, begins = block.place
         return name, begins + (first - block.first) // SIZE

@@ -32,6 +32,7 @@ HERE = Path(__file__).parent
 STEP = ("stages.c", "riccati_scalar.c", "active_set.c")
 KERNELS = (compiled_loop.SOURCE, *(stages.SOURCE.with_name(name) for name in STEP))
 CHANGEABLE = ("theta", "Q", "Q_end", "R", "u_min", "u_max", "settings")  # arguments that a user may change in flight
+REPLACED = {"bounded_X": "X_new", "bounded_U": "U_new"}  # results that are made when the others are read no more
 FLOAT_TOLERANCE = 1e-4  # N: bound violation that counts as none, in single precision
 FUNCTIONS = (  # of math.h, that generated code and the C of the bench call
     "sqrt", "exp", "log", "log10", "fabs", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",
@@ -105,13 +106,18 @@ def program(controller: Any, names: Names, start: tuple[ca.Function | None, list
     """The arrays of a controller, after a reset."""
     running, arrays = controller.running, Arrays()
     instant, told = running.instant, running.told
+    own = None if instant.plan is None else instant.plan.mpc
+    kept = None if own is None or is_read(own.memory.now, instant.operations) else own
+    operations = [one for one in instant.operations if kept is None or not keeps_solution(kept, one)]
     for name in ("state", "force", "speed", "path", "yaw", "fresh"):
         arrays.add(getattr(told, name), written=True, cleared=True)
     for memory in instant.memory:
+        if kept is not None and memory is kept.memory:
+            continue
         for now, after in memory.pairs:
             arrays.add_all((now, after), written=True, cleared=True)
         arrays.add(memory.now, written=True, cleared=True)
-    for operation in instant.operations:
+    for operation in operations:
         window = operation.kind == "window"
         arrays.add(operation.to, written=True, cleared=window)
         arrays.add(operation.other, written=True, cleared=window)
@@ -126,12 +132,31 @@ def program(controller: Any, names: Names, start: tuple[ca.Function | None, list
         solved = ("x0", "X", "U", "X_ref", "U_ref", "guess")
         for name, array in mpc.step.arguments.items():
             arrays.add(array, written=name in (*solved, "shift"), cleared=name in solved, changed=name in CHANGEABLE)
-        arrays.add_all(mpc.step.results.values(), written=True, cleared=True)
+        for name, array in mpc.step.results.items():
+            if name in REPLACED:
+                arrays.shared[array.ctypes.data] = mpc.step.results[REPLACED[name]]
+            else:
+                arrays.add(array, written=True, cleared=True)
         arrays.add(instant.plan.unprepared, written=True)
     arrays.add(instant.command, written=True)
     arrays.lay_out()
     rows = len(controller.node_times)
-    return Program(names, controller, instant.operations, instant.command, instant.plan, start, rows, hover, arrays)
+    return Program(names, controller, operations, instant.command, instant.plan, start, rows, hover, arrays)
+
+
+def is_read(array: np.ndarray, operations: Iterable[Operation]) -> bool:
+    """Whether an operation reads any of an array."""
+    first, end = span(array)
+    read = [
+        one for o in operations for one in (o.source, o.when, *(o.function.arguments.values() if o.function else ()))
+    ]
+    return any(first <= one.ctypes.data < end for one in read if one is not None)
+
+
+def keeps_solution(mpc: Any, operation: Operation) -> bool:
+    """Whether an operation only keeps the MPC's solution, which C has in one place: Python can go back to it."""
+    solution = [mpc.step.arguments[name].ctypes.data for name in ("X", "U", "guess")]
+    return operation.kind == "commit" and operation.source is not None and operation.source.ctypes.data in solution
 
 
 def functions_of(made: Program) -> dict[int, tuple[str, ca.Function]]:

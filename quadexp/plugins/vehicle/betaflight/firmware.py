@@ -30,7 +30,8 @@ HERE, HOST = Path(__file__).parent, "127.0.0.1"
 MOTORS, STATE, CHANNELS, SETTINGS = 9002, 9003, 9004, 5761  # ports, fixed in the firmware
 TICK = 1e-3  # s, between two states: the slowest at which its gyroscope is not starved
 PATIENCE = 10.0  # s of the real clock, for an answer of the process
-BOOT = 2000  # ticks, before which the firmware forgets who sends channels
+BOOT = 2000  # ticks, before which the firmware forgets who has connected
+AGAIN = 1.0  # s, after which the command line is opened again
 SEA_LEVEL = 101325.0  # Pa
 ENVIRONMENT = "QUADEXP_BETAFLIGHT"
 BUILD = (
@@ -146,9 +147,8 @@ class Firmware:
         """Give lines to its command line, save, and end. Returns its version."""
         answer = ""
         with self._connected() as line:
-            for text in ("#", "version\n", *(f"{text}\n" for text in lines)):
-                line.sendall(text.encode())
-                answer += self._prompt(line)
+            for text in ("#", "\n", "version\n", *(f"{text}\n" for text in lines)):
+                answer += self._answer(line, text)
             line.sendall(b"save\n")
             with contextlib.suppress(QuadexpError):
                 while True:  # till it ends
@@ -161,6 +161,7 @@ class Firmware:
 
     def _connected(self) -> socket.socket:
         """To its command line, once it listens there."""
+        self.stand(BOOT)
         until = time.monotonic() + PATIENCE
         while True:
             self.stand(100)
@@ -170,14 +171,19 @@ class Firmware:
                 if time.monotonic() > until:
                     raise QuadexpError(f"the firmware does not listen on port {SETTINGS}") from None
 
-    def _prompt(self, line: socket.socket) -> str:
-        """What it says until it asks for the next line; that takes time of both clocks."""
-        text, until = "", time.monotonic() + PATIENCE
+    def _answer(self, line: socket.socket, text: str) -> str:
+        """What it says to a text until it asks for the next one; that takes time of both clocks. The first, which opens
+        the command line, is lost where nobody reads yet: it is sent again."""
+        answer, until, again = "", time.monotonic() + 3 * PATIENCE, 0.0
         line.settimeout(1e-3)
-        while not text.endswith("\n# "):
-            if time.monotonic() > until:
-                raise QuadexpError(f"the firmware's command line does not answer: {text[-160:]!r}")
+        while not answer.endswith("\n# "):
+            now = time.monotonic()
+            if now > until:
+                raise QuadexpError(f"the firmware's command line does not answer: {answer[-160:]!r}")
+            if not again or (text == "#" and not answer and now > again):
+                line.sendall(text.encode())
+                again = now + AGAIN
             self.stand(10)
             with contextlib.suppress(TimeoutError):
-                text += line.recv(65536).decode(errors="replace")
-        return text
+                answer += line.recv(65536).decode(errors="replace")
+        return answer
