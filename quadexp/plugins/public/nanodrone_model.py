@@ -18,7 +18,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.models.regression import solve
-from quadexp.plugins.identification.torque import OTHER, AxisModel, Turning, output_error
+from quadexp.plugins.identification.torque import AxisModel, output_error
+from quadexp.plugins.identification.turning import OTHER, Turning
 from quadexp.plugins.public.nanodrone import PARTS, PERIOD, STATES, STEPS, Run
 
 GRAVITY = 9.81  # m/s^2
