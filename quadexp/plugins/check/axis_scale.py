@@ -15,6 +15,7 @@ as it turns, which a difference of velocities has the least noise in:
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +40,8 @@ LEAST = {"velocity": 0.015, "rate": 0.03, "force": 0.03}  # deviation of a gain 
 LEAST_OF_ALL = 0.015  # of the three axes of a gyro together
 # Of a force beside the thrust, an attitude that leans with the motion makes as much (share, m/s^2 root mean square).
 LATERAL, LATERAL_EFFECT = 0.1, 0.1
+LATERAL_SAID = 0.065  # m/s^2: sound flights of NanoBench have up to 0.060. A warning, which names both
+LEANS = "or the attitude leans with the motion, which looks the same"
 
 
 class Gains(NamedTuple):
@@ -110,8 +113,9 @@ def _jackknife(estimates: list[np.ndarray]) -> np.ndarray:
     return np.sqrt((count - 1) * np.var(estimates, axis=0))
 
 
-def axis_candidates(windows: Windows) -> list[Candidate]:
-    """Streams of which some axes have another factor than the rest, and gyros that have a small one."""
+def axis_candidates(windows: Windows, *, small: bool = False) -> list[Candidate]:
+    """Streams of which some axes have another factor than the rest, and gyros that have a small one. small: also what
+    may be the attitude's doing."""
     known = {pair.name: pair for pair in pairs(windows)}
     found: list[Candidate] = []
     if (velocity := known.get("velocity")) is not None:
@@ -133,8 +137,17 @@ def axis_candidates(windows: Windows) -> list[Candidate]:
         least = np.array([LATERAL, LATERAL, LEAST["force"], 0.0])
         off = gain.apart(least)[:3]
         off[:2] &= (gain.nearest * gain.signal)[:2] > LATERAL_EFFECT
-        found += _candidates("f", off, gain.low, gain.high, gain)
+        leans = _may_lean(gain) & ~off if small else np.zeros(3, bool)
+        for candidate in _candidates("f", off | leans, gain.low, gain.high, gain):
+            found.append(replace(candidate, text=f"{candidate.text}, {LEANS}") if leans.any() else candidate)
     return found
+
+
+def _may_lean(gain: Gains) -> np.ndarray:
+    """Axes beside the thrust, (3,), whose factor is sure, and so small that an attitude may have made it."""
+    size = np.abs(gain.high - 1)[:3]
+    sure = gain.apart(np.full(4, LEAST["force"]))[:3]
+    return sure & (size > LATERAL) & (size * gain.signal[:3] > LATERAL_SAID) & np.array([True, True, False])
 
 
 def body_force(windows: Windows) -> tuple[np.ndarray, np.ndarray] | None:

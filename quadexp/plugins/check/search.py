@@ -295,7 +295,7 @@ def _small_factors(windows: Windows, before: Agreements, taken: list[Candidate])
     scaled = {stream for mended in taken if mended.fault in ("scale", "units") for stream in mended.streams}
     findings = []
     told: set[str] = set()
-    for candidate in axis_candidates(windows):
+    for candidate in axis_candidates(windows, small=True):
         relation = {"w": "rate", "f": "force"}.get(candidate.streams, "velocity")
         if candidate.fault == "scale":
             candidate = replace(candidate, severity="warning")

@@ -66,6 +66,16 @@ def test_a_gain_lies_between_both_regressions():
     assert gain.apart(np.full(4, 0.03)).tolist()[:3] == [True, False, True]
 
 
+@pytest.mark.parametrize(("column", "factor"), [("acc_y", 1.14), ("acc_y", 0.88)])
+def test_a_small_factor_beside_the_thrust_is_said_and_does_not_block(flight, column, factor):
+    """An attitude that leans with the motion looks the same, so both are named."""
+    (found,) = named(Flight({**flight.columns, column: factor * flight[column]}, flight.metadata))
+    assert found.name == "scale" and found.severity == "warning"
+    assert column in found.measured and "leans with the motion" in found.measured
+    undone = found.correction["acceleration"]["scale"]["xyz".index(column[-1])]
+    assert undone == pytest.approx(1 / factor, rel=0.03)
+
+
 @pytest.mark.parametrize(
     ("names", "factors", "key", "undone"),
     [
