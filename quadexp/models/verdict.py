@@ -213,7 +213,7 @@ def verdict(model: Model, train: ResidualDataset, test: ResidualDataset) -> dict
             "rmse": rmse, "drag_rmse": rms(errors[1]), "noise": floor,
             "unexplained": float(np.sqrt(max(rmse**2 - floor**2, 0.0))),
         }  # fmt: skip
-    report = {"outputs": outputs, "flights": len(test.flights)}
+    report: dict[str, Any] = {"outputs": outputs, "flights": len(test.flights)}
     report["of"] = len(train.flights) + len(test.flights)
     report["duration"] = float(sum(np.sum(data.columns["dt"]) for data in (train, test)))
     report["beside"] = []

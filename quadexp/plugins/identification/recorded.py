@@ -135,10 +135,13 @@ def recorded_dataset(
 
 
 def tracked_scale(collective: np.ndarray, measured: np.ndarray, dt: float) -> np.ndarray:
-    """g of the module before every sample of one flight, (k,); collective c, measured y: (k,) m/s^2. dt: s."""
+    """g of the module before every sample of one flight, (k,); collective c, measured y: (k,) m/s^2. dt: s.
+
+    c may be zero at first, on the ground; until it is not, g is 1."""
     from scipy.signal import lfilter
 
     decay = float(np.exp(-dt / MEMORY))
-    prior = PRIOR / dt * collective[0] ** 2 * decay ** np.arange(len(collective))
+    first = int(np.argmax(collective != 0))
+    prior = PRIOR / dt * (collective[first] or 1.0) ** 2 * decay ** np.maximum(np.arange(len(collective)) - first, 0)
     past = lfilter([0.0, 1.0], [1.0, -decay], np.stack([collective * measured, collective * collective]), axis=1)
     return (prior + past[0]) / (prior + past[1])

@@ -83,7 +83,7 @@ class RotorForceModel(GPModel, frozen=True, tag="rotor_force"):
     def weight(self, rows: ResidualDataset) -> np.ndarray:
         """W at the rows, (k,)."""
         return np.prod(
-            [_step(x, *ends, np) for x, ends in zip(rows.matrix(self.features).T, self.edges, strict=True)], 0
+            [_step(np, x, *ends) for x, ends in zip(rows.matrix(self.features).T, self.edges, strict=True)], 0
         )
 
     def predict(self, rows: ResidualDataset) -> dict[str, Prediction]:
@@ -156,7 +156,7 @@ class RotorForceModel(GPModel, frozen=True, tag="rotor_force"):
         return self.numbers, [*lines, f"drag        {self.linear_drag}"]
 
 
-def _step(x: Any, least: Any, low: Any, high: Any, largest: Any, ops: Any) -> Any:
+def _step(ops: Any, x: Any, least: Any, low: Any, high: Any, largest: Any) -> Any:
     """S: 0 up to `least`, 1 from `low` to `high`, 0 from `largest` on. ops: numpy or CasADi."""
     rising, falling = (x - least) / (low - least), (largest - x) / (largest - high)
     inside = ops.fmax(0, ops.fmin(1, ops.fmin(rising, falling)))
@@ -170,7 +170,7 @@ def _window(vehicle: Vehicle, features: Sequence[str]) -> ca.Function:
     weight: Expression = ca.SX(1)
     places = feature_places(names, features, "rotor_force")
     for place, ends in zip(places, split(edges, [4] * len(features)), strict=True):
-        weight = weight * _step(z[place[0]], *ca.vertsplit(ends), ca)
+        weight = weight * _step(ca, z[place[0]], *ca.vertsplit(ends))
     return ca.Function("window", [z, edges], [weight, ca.jacobian(weight, z)])
 
 

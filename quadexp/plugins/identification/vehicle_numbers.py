@@ -83,7 +83,7 @@ def numbers_of(
     text = " + ".join(f"{value:.5g} s^{power:g}" if power != 1 else f"{value:.5g} s" for power, value in terms)
     text += f" + {mass * curve.intercept / curve.rotors:.4g}" if curve.intercept else ""
     unit = SIGNALS[curve.signal] if curve.signal != "motor_command" else "0 to 1"
-    given = {"mass": None, "inertia": None}
+    given: dict[str, Any] = {"mass": None, "inertia": None}
     if vehicle is not None:
         given = {"mass": vehicle.mass, "inertia": np.diag(vehicle.inertia_matrix).tolist(), "name": vehicle.name}
     if torque is not None and vehicle is not None:
