@@ -262,10 +262,12 @@ def verdict_lines(report: dict[str, Any]) -> list[str]:
     if not report.get("identified"):
         return lines
     fit, *others = report["identified"]
-    taken = chosen_drag(report["air"])
+    air = report.get("air", [])  # not in reports of earlier versions
+    taken = chosen_drag(air)
     by_name = {row["model"].removesuffix(" drag").replace(" ", "_"): row for row in others}
     best = by_name.get(taken or "", min(others, key=lambda row: row["rms"]))
-    lines.append(f"  {drag_line(report['air'])}")
+    if air:
+        lines.append(f"  {drag_line(air)}")
     text = ", ".join(f"{row['model']} {100 * row['share']:.1f} %" for row in report["identified"])
     lines.append(f"  error on the held-out flights relative to the thrust curve alone: {text}")
     beside = f"every model of `quadexp identify` ({best['text']} of {best['model']})"

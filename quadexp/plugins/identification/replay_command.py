@@ -24,10 +24,10 @@ def replay_test(
 ) -> Answer:
     """Fly the path of a log again, in a plant identified from other flights, and compare with the log.
 
-    The plant has the model's forces, the dead time and lag of its thrust curve, torques of the vehicle file, and the
-    noise that the model leaves on the log. The flights of the ensemble differ in that noise and in the model's
-    coefficients. Any controller flies, with settings as in `simulate`; of a simulated log its own if none is named. The
-    path is the log's reference or, where it has none, where it flew.
+    The plant has the model's forces, the dead time and lag of its thrust curve, torques of the vehicle file (or of
+    the gain found), and the noise that the model leaves on the log. The flights of the ensemble differ in that noise
+    and in the model's coefficients. Any controller flies, with settings as in `simulate`; of a simulated log its own
+    if none is named. The path is the log's reference or, where it has none, where it flew.
 
     \b
     quadexp replay-test flights/c.parquet models/crazyflie controller=geometric

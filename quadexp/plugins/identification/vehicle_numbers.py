@@ -133,8 +133,18 @@ def _row(name: str, value: float, unit: str, error: float, freedom: int) -> Row:
     return {"name": name, "value": value, "unit": unit, "low": value - half, "high": value + half, "note": ""}
 
 
+def _share(curve: ThrustCurve) -> float:
+    """Rotors that share one signal."""
+    return float(curve.rotors) if curve.signal == "thrust_acceleration" else 1.0
+
+
 def _powers(curve: ThrustCurve, signal: float) -> np.ndarray:
-    return np.array([signal**power for power in curve.powers])
+    return np.array([(signal / _share(curve)) ** power for power in curve.powers])
+
+
+def _derivatives(curve: ThrustCurve, signal: float) -> np.ndarray:
+    share = _share(curve)
+    return np.array([power * (signal / share) ** (power - 1) / share for power in curve.powers])
 
 
 def _acceleration(curve: ThrustCurve, signal: float) -> float:
@@ -143,8 +153,7 @@ def _acceleration(curve: ThrustCurve, signal: float) -> float:
 
 
 def _slope(curve: ThrustCurve, signal: float) -> float:
-    derivative = [power * signal ** (power - 1) for power in curve.powers]
-    return float(np.array(derivative) @ curve.coefficients)
+    return float(_derivatives(curve, signal) @ curve.coefficients)
 
 
 def _error(curve: ThrustCurve, signal: float) -> float:
@@ -155,7 +164,7 @@ def _error(curve: ThrustCurve, signal: float) -> float:
 
 
 def _slope_error(curve: ThrustCurve, signal: float) -> float:
-    phi = np.array([power * signal ** (power - 1) for power in curve.powers])
+    phi = _derivatives(curve, signal)
     covariance = np.diag(curve.errors**2) if curve.covariance is None else curve.covariance
     return float(np.sqrt(max(phi @ covariance @ phi, 0.0)))
 

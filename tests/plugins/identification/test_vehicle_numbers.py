@@ -119,3 +119,16 @@ def test_identify_and_fit_take_the_same_drag(truth):
     assert found.model.best == ("linear" if truth == "none" else "quadratic")
     for one, other in zip(report["air"], found.report["air"], strict=True):
         assert one["rms"] == pytest.approx(other["rms"], rel=0.01)
+
+
+def test_a_logged_thrust_is_shared_by_the_rotors():
+    """The log's acceleration is 5 % too small: in hover it reads g / 1.05."""
+    flights = [logged_flight(seed) for seed in range(3)]
+    for flight in flights:
+        s = flight.stack([f"motor_command_{i}" for i in range(4)]) * (flight["battery_voltage"] / 4)[:, None]
+        flight.columns["thrust_acceleration"] = np.sum(CURVE[0] * s + CURVE[1] * s**2, axis=1) / 1.05
+    names = [f"flight_{i}" for i in range(3)]
+    numbers = identify_vehicle(flights, names, None, FitSettings(signal="thrust_acceleration")).report["numbers"]
+    row = row_of(numbers, "thrust_acceleration in hover")
+    assert row["value"] == pytest.approx(GRAVITY / 1.05, abs=0.1)
+    assert row_of(numbers, "thrust per signal in hover")["value"] == pytest.approx(1.05 / 4, rel=0.03)
