@@ -37,6 +37,7 @@ PLUGIN_FLOORS = (
     ("page", "remedies", "tune", "worlds", "foreign", "cluster", "neural", "exchange", "logs"),
     ("papers", "auto", "bench", "gym", "vehicle", "archive", "check"),
     ("identification",),
+    ("public",),
 )
 
 
