@@ -11,7 +11,16 @@ from tests.house import PACKAGE, ROOT, modules
 
 FILE = re.compile(r"(?<![\w/.*-])((?:[\w-]+/)*[a-z_][\w-]*\.(?:py|c|yaml|md|toml))\b")
 MODULE = re.compile(r"\bquadexp(?:\.[a-z_]\w*)+")
-MADE_UP = {"mapping.yaml", "table.md", "model.c", "mpc.c", "node.c"}  # which commands write, or users
+MADE_UP = {
+    "submission.md",
+    "params.toml",
+    "my_model.py",
+    "mapping.yaml",
+    "table.md",
+    "model.c",
+    "mpc.c",
+    "node.c",
+}  # which commands write, or users
 PLAIN = (0, 1, 2, -1)  # numbers that say themselves what they are
 
 
