@@ -18,7 +18,7 @@ from quadexp.physics.state import norms
 from quadexp.writer import check_output, write_text, written
 
 POSE = ("p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w")
-BLUE, GREY = (0, 114, 178), (136, 136, 136)
+BLUE, GREY = (0, 114, 178), (136, 136, 136)  # 8-bit RGB; blue of Okabe and Ito
 
 
 def write_columns(flight: Flight, path: Path, *, force: bool = True) -> dict[str, Path]:

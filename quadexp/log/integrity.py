@@ -105,7 +105,7 @@ def check_numbers(columns: Any, names: Any, where: str) -> None:
 # -------------------------------------------------------------------------------------------------------------- hashes
 CONTENT_KEY = b"quadexp_content_sha256"  # in the schema metadata
 FILE_KEY = b"quadexp_file_sha256"  # in the file's key-value metadata
-_DIGITS = 64
+_DIGITS = 64  # hexadecimal digits of SHA-256
 _NONE_YET = b"0" * _DIGITS
 _SEAL = re.compile(re.escape(FILE_KEY) + rb"..([0-9a-f]{%d})" % _DIGITS, re.DOTALL)  # two bytes: type and length
 

@@ -27,10 +27,10 @@ from quadexp.log.runs import period_of, runs
 
 FINE = 1e-3  # s
 LOW, HIGH = 0.8, 12.0  # Hz
-BLOCK, DRAWS = 1.0, 100
+BLOCK, DRAWS = 1.0, 100  # s, of the blocks that are resampled; resamplings for an interval
 RESOLUTION = 3e-3  # s
 EDGE = 0.3  # s, where the filters settle
-LEAST_SECONDS = 4.0
+LEAST_SECONDS = 4.0  # s of motion: four blocks
 MOST_SECONDS = 240.0  # of all flights together
 WORTH = 8.0  # log likelihood that a delay must bring to be real
 ALIKE, SIMPLER, NEAR = 0.25, 2.0, 1.92  # log likelihood: as good as the best; of one more constant; of 95 %

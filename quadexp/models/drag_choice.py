@@ -21,7 +21,7 @@ from quadexp.models.terms import QUADRATIC, WITHOUT_RADIUS, Axes, fit_terms
 
 ALIKE = 0.02  # of an error
 MOST_ROWS = 20_000  # more are thinned evenly
-MOST_FOLDS = 10
+MOST_FOLDS = 10  # flights that are held out one by one; each costs a fit
 CANDIDATES: dict[str, Axes] = {  # the simplest first
     "linear": (("linear", "offset"), ("linear", "offset"), ("thrust", "linear")),
     "quadratic": QUADRATIC,

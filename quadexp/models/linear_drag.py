@@ -35,7 +35,7 @@ from quadexp.physics.rotation import along_z
 from quadexp.physics.state import root_mean_square
 from quadexp.physics.vehicle import Vehicle
 
-N_PARAMETERS = 7
+N_PARAMETERS = 7  # drag 3, intercept 3, thrust gain 1
 LABELS = {"flight": "95 % interval over {flights} flights", "blocks": "95 % interval of quadexp identify"}
 
 

@@ -46,10 +46,10 @@ import numpy.typing as npt
 from quadexp.errors import DataError
 
 HUBER = 1.345  # robust standard deviations
-MAD_TO_STD = 1.4826
+MAD_TO_STD = 1.4826  # of a normal distribution: 1 / Phi^-1(3/4)
 MAX_ITERATIONS = 200  # of reweighting
-BLOCK_TIMES = 8.0
-FLIGHT_CLUSTERS = 10
+BLOCK_TIMES = 8.0  # beyond, exp(-8) of the correlation is left between neighbouring blocks
+FLIGHT_CLUSTERS = 10  # with 10 a standard deviation over flights is known to a quarter
 LEAST_FLIGHTS = 3  # of an interval over flights: Student's t of two is 12.7 standard errors, which tells nothing
 MOST_LAGS = 1 << 17  # samples of a stretch; longer stretches are averaged over neighbours first
 LEAST_BLOCKS = 6  # more than coefficients, for any correlation time

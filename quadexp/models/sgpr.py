@@ -43,8 +43,8 @@ from quadexp.physics.state import root_mean_square
 
 PILOT_ROWS = 400  # of the exact GP that initialises the hyperparameters
 CANDIDATE_ROWS = 4000  # from which the initial inducing points are chosen; also those of the first stage of the bound
-PILOT_ITERATIONS = 60
-STAGE_ITERATIONS = 150
+PILOT_ITERATIONS = 60  # steps at most, of the pilot that only begins what follows
+STAGE_ITERATIONS = 150  # steps at most, of each stage
 RELATIVE_FLOOR = 1e-10  # of the prior variance; below it a further point is redundant
 NOISE_FLOOR = 1e-8  # of the output's mean square
 EXACT_LIMIT = 5000  # rows up to which gpytorch uses a Cholesky factorisation instead of conjugate gradients

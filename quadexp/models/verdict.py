@@ -44,7 +44,7 @@ from quadexp.physics.state import root_mean_square
 Row = dict[str, Any]
 ACCELERATION = list(AXIS)
 LAG = 2
-CONFIDENCE = 0.95
+CONFIDENCE = 0.95  # of every interval, as in the tables of results
 WORDS = {"better": "BETTER than linear drag", "worse": "WORSE than linear drag", "open": "NOT SHOWN TO BE BETTER"}
 
 

@@ -20,7 +20,7 @@ from quadexp.physics.rotation import air_velocity, along_z, quaternion_rate, rot
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
-N_DISTURBANCE = 6
+N_DISTURBANCE = 6  # force and torque
 FEATURES = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")  # of a residual, beside the rotors' thrusts
 OUTPUTS = ("a_x", "a_y", "a_z", "tau_x", "tau_y", "tau_z")
 N_OUTPUTS = len(OUTPUTS)

@@ -14,7 +14,7 @@ POSITION = slice(0, 3)  # world, m
 ATTITUDE = slice(3, 7)  # body to world, w first
 VELOCITY = slice(7, 10)  # world, m/s
 RATE = slice(10, 13)  # body, rad/s
-N_STATE = 13
+N_STATE = 13  # position 3, attitude 4, velocity 3, body rate 3
 AT_REST = 1e-6  # m/s; a path that begins at rest is slower by rounding errors only
 
 STATE_COLUMNS = ("p_x", "p_y", "p_z", "q_w", "q_x", "q_y", "q_z", "v_x", "v_y", "v_z", "w_x", "w_y", "w_z")

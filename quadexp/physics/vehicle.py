@@ -45,8 +45,8 @@ GRAVITY = 9.81  # m/s^2
 # The largest principal moment of a rigid body is at most the sum of the other two; measured moments may exceed that
 # slightly (those of Lei & Li 2017 by 1.2 %).
 INERTIA_TOLERANCE = 0.02
-LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254}
-MOMENTS = {"g m^2": 1e-3, "kg cm^2": 1e-4, "kg mm^2": 1e-6, "g cm^2": 1e-7, "g mm^2": 1e-9}
+LENGTHS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254}  # m
+MOMENTS = {"g m^2": 1e-3, "kg cm^2": 1e-4, "kg mm^2": 1e-6, "g cm^2": 1e-7, "g mm^2": 1e-9}  # kg m^2
 FORMER_NAMES = {"thrust_coefficient": "static_thrust"}  # used in hashes, so that existing files keep theirs
 
 

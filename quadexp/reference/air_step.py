@@ -37,7 +37,7 @@ from quadexp.reference.flat_map import cross, twisted, untwisted
 from quadexp.reference.motion import Air, Calculus, Demand, Motion, allocation_inverse, flat_motion, within_limits
 
 N_FEATURES = len(FEATURES)  # of z, before the thrusts
-N_VELOCITY = 3
+N_VELOCITY = 3  # axes
 MAX_TURN = 0.3  # rad, largest rotation of the specific force in the tilt frame per step
 MIN_SHARE = 0.02  # least component of the specific force along the rotors' axis, relative to its norm
 MIN_DETERMINANT = 0.3  # of the system in dl; below it the step is the fixed-point step l <- r_l

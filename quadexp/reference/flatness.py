@@ -38,7 +38,7 @@ from quadexp.reference.time_grid import TimeGrid
 # iterations of fixed_point.py, which also end when they stall.
 TOLERANCE, ITERATIONS = 1e-9, 100
 COARSE_TOLERANCE = 1e-5  # m/s^2, N m: accuracy of the interpolation between coarse nodes
-COARSE_ITERATIONS = 30
+COARSE_ITERATIONS = 30  # at most; a fixed point that contracts by half reaches 1e-9
 BISECTIONS = 5  # of the share of the residual: its resolution and least value is 1/32
 REDUCTION = 0.8  # factor on the share where the fine grid has no solution although the coarse one had
 

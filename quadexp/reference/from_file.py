@@ -49,10 +49,10 @@ from quadexp.reference.base import (
 )
 from quadexp.reference.polynomial import ScaledPath, minimum_snap, time_scale
 
-DEGREE = 7
+DEGREE = 7  # the snap is then continuous, and piecewise cubic
 POWERS = (0.5, 0.75, 1.0)  # 0.5 suits a limited acceleration, 1 a limited speed
 MIN_ROWS = 8  # of a track, needed by the degree-7 spline
-MIN_POINTS, MAX_POINTS = 2, 200
+MIN_POINTS, MAX_POINTS = 2, 200  # two make a line; beyond, a path is a track of samples
 TRACK = ("t", "p_x", "p_y", "p_z")
 WAYPOINTS = ("x", "y", "z")
 ATTITUDE = ("q_w", "q_x", "q_y", "q_z")
@@ -138,7 +138,7 @@ def read_positions(path: Path) -> Positions:
 
 
 def _renamed(header: list[str]) -> list[str]:
-    """Names of a track as this program has them, where other ones say as much (importers/columns.py)."""
+    """Names of a track as this program has them, where other ones say as much (log/column_names.py)."""
     if any(name in header for name in (*TRACK, *WAYPOINTS)):
         return header
     known, header = groups(header), list(header)

@@ -31,7 +31,7 @@ from quadexp.reference.base import N_DERIVATIVES, FlatOutput, derivatives, flat_
 from quadexp.reference.motion import Air, Demand, allocation_inverse, flat_motion
 from quadexp.reference.time_grid import TimeGrid
 
-DEGREE = 7
+DEGREE = 7  # of a minimum-snap polynomial
 _REAL = 1e-6  # largest imaginary part of a real root, relative to the length of the piece
 SPEED = "speed"  # the limit where the requested speed is reached first
 STEPS, FEWEST, MOST = 64, 16, 30_000  # grid points: per mean piece, least per piece, most in total

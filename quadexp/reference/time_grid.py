@@ -28,7 +28,7 @@ def _difference_weights(order: int, width: int) -> np.ndarray:
     return np.linalg.solve(powers.astype(float), factorial(order) * np.eye(width)[order][None, :, None])[..., 0]
 
 
-_WIDTH = 5
+_WIDTH = 5  # points of a difference of fourth order
 _FIRST, _SECOND = _difference_weights(1, _WIDTH), _difference_weights(2, _WIDTH)
 _QUINTIC = np.linalg.inv(np.vander(np.arange(6.0), increasing=True))  # values at 0 .. 5 -> coefficients
 

@@ -35,7 +35,7 @@ from quadexp.report.winner import best_of_lines
 
 # No comparison: they are not paired by noise.
 DESCRIBED = ("solve_time_median", "solve_time_p99", "saturated_share", "command_change")
-CONFIDENCE = 0.95
+CONFIDENCE = 0.95  # of every interval, unless a user asks for another
 
 
 def compared(rows: Sequence[Row]) -> tuple[str, ...]:

@@ -63,7 +63,7 @@ GLYPHS = {  # marker of matplotlib -> the same as letters, filled and hollow
     ">": "▶▷", "p": "⬟⬠",
 }  # fmt: skip
 MARKERS = tuple(GLYPHS)
-DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
+DASHES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))  # points on, points off
 STYLE: Any = {  # matplotlib types every single key
     "figure.constrained_layout.use": True,
     "font.size": 9,

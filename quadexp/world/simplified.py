@@ -74,7 +74,7 @@ class PlantEffects(Settings):
 
 
 ZERO = (0.0, 0.0, 0.0)
-N_EFFECTS = 11
+N_EFFECTS = 11  # numbers of `parameters`
 LINEAR_DRAG, QUADRATIC_DRAG, LOSS, MOTOR_NOISE, FORCE_NOISE, TORQUE_NOISE, LIFT = (
     slice(0, 3), slice(3, 6), 6, 7, 8, 9, 10,
 )  # fmt: skip

@@ -19,7 +19,7 @@ from quadexp.report.style import HUES, Figure, styled
 from quadexp.report.table import Table
 
 BAND = 1.96  # deviations
-MS = 1e3
+MS = 1e3  # of a second
 # Half of a band from which on a quantity was not identifiable; of a force in weights of the vehicle
 LIMITS = {"ms": 5.0, "m/s": 2.0, "N": 0.25, "1": 0.05}
 FINE = 20  # steps of a period, in which the lag of the thrusts is followed

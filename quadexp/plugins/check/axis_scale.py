@@ -26,15 +26,15 @@ from quadexp.plugins.logs.signal.windows import UP, Windows, pairs
 from quadexp.plugins.logs.units import UNITS
 
 KEPT = 0.9  # share of the windows: knocks are left out
-REFITS = 3
+REFITS = 3  # times that rows near the line are chosen, about the line of the time before
 SURE = 5.0  # standard errors
 IN_UNIT = 3.0  # standard errors, within which a factor may be that of a unit
 NEAR_UNIT = 0.04  # of the logarithm, to which it may be besides
 WIDEST = 2.5  # high over low, up to which a unit is told
-LEAST_CORRELATION = 0.3
+LEAST_CORRELATION = 0.3  # below, motion explains a tenth of the variance and its slope says nothing
 ALIKE = 0.03  # within which an axis has the factor of all
 BLOCKS = 0.08  # of a gyro or accelerometer: less is a calibration
-COST, COST_AXIS = 1.2, 0.2
+COST, COST_AXIS = 1.2, 0.2  # log units: how much a candidate claims, and each axis more; see Candidate.cost
 DIMENSIONS = {"p": "length", "v": "velocity", "w": "rate", "f": "acceleration"}
 LEAST = {"velocity": 0.015, "rate": 0.03, "force": 0.03}  # deviation of a gain from 1
 LEAST_OF_ALL = 0.015  # of the three axes of a gyro together

@@ -41,9 +41,9 @@ TUM = ["t", "x", "y", "z", "qx", "qy", "qz", "qw"]  # of a trajectory without a 
 # Counts of a gyro for one deg/s, of 2000, 1000, 500 and 250 deg/s in 16 bits.
 COUNTS_PER_DEGREE = (16.4, 32.8, 65.5, 131.0)
 APART = 0.03  # of the logarithm: how near a gain is to a unit that is sure
-LEAST_SAMPLES = 50
+LEAST_SAMPLES = 50  # of a column; of fewer a correlation of 0.3 may be chance
 FEW = 60  # windows that every frame is tried on
-SURE, LIKELY, GUESS = 0.95, 0.7, 0.4
+SURE, LIKELY, GUESS = 0.95, 0.7, 0.4  # shares shown to a user; nothing is decided by them
 WORLDS = {  # frame of the log's world: what it is, cost
     "ENU": ("z up; which way x points from north cannot be known from the data", 0.0), "NED": ("z down", 0.1),
     "z x y": ("y up", 2.5), "x -z y": ("y down", 2.5), "y z x": ("x up", 2.5), "z -y x": ("x down", 2.5),
@@ -52,7 +52,7 @@ PLAIN = {"order": "wxyz", "direction": "body_to_world"}
 BODIES = ("FLU", "FRD", "z x y", "x z -y", "y z x", "z -y x")
 # Units of position and velocity: gain of the velocity over the derivative.
 GAINS = {("m", "m/s"): 1.0, ("m", "mm/s"): 1e3, ("mm", "m/s"): 1e-3, ("m", "cm/s"): 100.0, ("cm", "m/s"): 0.01}
-COUNTS_PER_G = (2048.0, 4096.0, 512.0, 8192.0)
+COUNTS_PER_G = (2048.0, 4096.0, 512.0, 8192.0)  # of MPU and ICM accelerometers, of 16, 8, 4 and 64 g in 16 bits
 # Largest value of a motor's command, what else must hold, how sure, values of command 0 and 1, what they are.
 RANGES = (
     (1.5, "", LIKELY, 0, 1, ""), (110, "", LIKELY, 0, 100, ""), (260, "", LIKELY, 0, 255, ""),

@@ -84,5 +84,5 @@ COMPARED = (  # relations, title, a sensor, what the others say it should be; se
     (("rate",), "body rate (rad/s)", "w", "from the attitude"),
 )
 MARKS = {"warning": COLOURS[1], "blocking": COLOURS[5]}
-MOST_LINES = 6
+MOST_LINES = 6  # more lines are not distinguished by their colours
 LONGEST_LINE = 175  # letters

@@ -40,7 +40,7 @@ GROUND, GROUND_BLOCKS = 0.02, 0.05  # share of the samples at rest
 LETTERS = {key: letter for letter, key in KEYS.items()}
 TURNS = {"mounting", "heading", "scale", "bias"}  # what a delay may look like
 LEAST_LATE, MOST_LATE = 0.008, 0.3  # s: that is looked for in place of a turn
-LEAST_CORRELATION = 0.7
+LEAST_CORRELATION = 0.7  # half of the variance is common
 # Faults of samples, of which the finding `inconsistent` is a symptom.
 BROKEN = {"acceleration_outlier", "rate_outlier", "position_outlier", "velocity_outlier", "frozen_sensor",
           "dead_logger"}  # fmt: skip

@@ -30,11 +30,11 @@ ROUNDING = 0.005  # of the range: what quantisation and resampling may add
 SATURATED = 0.05  # share of the samples of one rotor
 STANDS = 0.01  # m, m/s: what motion capture makes of a vehicle that stands
 CELL = (2.5, 4.45)  # V: of a lithium cell, empty and full
-MOST_CELLS = 14
+MOST_CELLS = 14  # in series: 60 V
 ONE_CELL_MASS = 0.25  # kg: heavier vehicles fly on two cells or more
 FASTEST_ROTOR = 1e4  # rad/s: 95 000 rpm, above any propeller drive
 FASTEST_MEDIAN = 4e3  # rad/s: 38 000 rpm
-HOVER_RANGE = 2.5
+HOVER_RANGE = 2.5  # thrust goes with its square: a sixth of the hover's to six times
 SLOW = 3.0  # times below the least median speed: certainly another unit
 RADIUS = (0.35, 0.5)  # of a rotor over the distance to its neighbour
 SPEED_OF_SOUND, AIR_DENSITY = 340.0, 1.2  # m/s, kg/m^3
@@ -44,11 +44,11 @@ RATE = 50.0  # Hz: of the fit
 BAND = 6.0  # Hz: vehicles turn up to there, vibration shakes above
 SLOWEST = 0.3  # Hz: trims and drift are slower
 LAGS = np.arange(0.0, 0.125, 0.01)  # s: motors and filters are late by up to this
-LEAST_SECONDS = 4.0
+LEAST_SECONDS = 4.0  # s of motion at least, else nothing is said
 EXPLAINS = 0.3  # of an axis' variance that the best order must explain
 MARGIN = 0.15  # of the variance, by which it must beat the order given, and the next best
 RANK = 0.05  # of the largest singular value: directions in which the rotors did not move
-MOST_ROWS = 15_000
+MOST_ROWS = 15_000  # thinned evenly beyond, as every order of the rotors is tried on them
 
 
 def command_columns(flight: Flight) -> dict[str, list[str]]:

@@ -14,7 +14,7 @@ from quadexp.plugins.logs.signal.windows import STREAMS, attitude_rate
 
 NORM, NORM_BLOCKS = 0.01, 0.1  # of a quaternion: what rounding to two digits leaves
 FROZEN = 0.2  # s
-LEAST_ROWS = 8
+LEAST_ROWS = 8  # fewer equal values in a row may be a coarse sensor's
 MOVES = 0.05  # rad/s or m/s: what a frozen sensor would have had to see
 MOST_ROWS = 20_000  # that are looked at for axes that never move
 MANY_OUTLIERS, LEAST_OUTLIERS = 0.005, 8  # share of the samples, and samples, beyond which spikes block

@@ -37,12 +37,12 @@ from quadexp.plugins.check.turn_and_bias import better, turned_and_biased
 from quadexp.plugins.logs.finding import LEAVE_OUT, SEVERITIES, Finding
 from quadexp.plugins.logs.signal.windows import Pair, Relation, Windows, pairs
 
-INDEPENDENT = 60
-LEAST_WINDOWS = 10
+INDEPENDENT = 60  # that a flight counts for, however long it is: a sensor's errors last
+LEAST_WINDOWS = 10  # fewer say too little of a candidate
 MARGIN = 10.0  # log units: clean flights of every kind at hand stay below 2
 PER_COST = 4.5  # log units a unit of cost: a candidate that claims more must explain more
 KEPT = 0.9  # share of the windows that a residual is taken over
-MOST_FAULTS = 4
+MOST_FAULTS = 4  # named one by one, each a search of its own
 MOST_LEFT = 0.4  # of a misfit: a candidate that leaves as much names no fault
 MEASURED = ("scale", "heading")
 CALIBRATIONS = {"mounting", "bias", "scale"}

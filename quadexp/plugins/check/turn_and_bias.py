@@ -35,7 +35,7 @@ from quadexp.plugins.logs.signal.windows import RELATIONS, Windows, pairs
 KEPT = 0.9  # share of the windows
 CERTAIN = 3.0  # standard errors of a turn
 CLEAR = 3.5  # standard errors of a difference of squared residuals
-COST = 1.9
+COST = 1.9  # log units: how much a turn with a bias claims, see Candidate.cost
 
 Sides = dict[str, tuple[np.ndarray, np.ndarray]]  # letter -> what the motion says, what the sensor read, (n, 3)
 

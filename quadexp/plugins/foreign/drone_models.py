@@ -42,7 +42,7 @@ from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, Rotor
 THRUST, TORQUE, UP, DOWN, DRAG, INERTIA = (
     slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 10), slice(10, 13), 13,
 )  # fmt: skip
-N_PARAMETERS = 14
+N_PARAMETERS = 14  # of the function below
 RPM = math.pi / 30  # rad/s
 OTHER_ROTOR = 0.1  # of the thrust per rotor speed squared in hover: more is another vehicle's
 

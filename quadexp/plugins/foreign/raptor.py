@@ -35,7 +35,7 @@ from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.provenance import package_identity
 
-HIDDEN, ACTIONS = 16, 4
+HIDDEN, ACTIONS = 16, 4  # widths of the published network
 PLACES = np.radians([-45.0, -135.0, 135.0, 45.0])  # front right, back right, back left, front left
 SPINS = np.array([-1.0, 1.0, -1.0, 1.0])
 NEAR = np.radians(25.0)  # of a place: rotors of a stretched X

@@ -38,7 +38,7 @@ from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, Rotor
 
 PARASITIC, ROTOR_DRAG, INFLOW, LIFT, FLAPPING, LAG, SPEED_MIN, SPEED_MAX = slice(0, 3), 3, 4, 5, 6, 7, 8, 9
 AIR = slice(0, 7)
-N_PARAMETERS = 10
+N_PARAMETERS = 10  # of the function below
 SLOWEST = 0.01  # share of rotor_speed_max, below which a controller believes that rotors do not go: w = sqrt(u / k) has
 # no slope at u = 0
 

@@ -180,7 +180,7 @@ def _draw_curves(panel: Any, points: Sequence[tuple[str, float, float]], look: M
         panel.plot(*zip(*curve, strict=True), label=name, **look[name].points())
 
 
-MS = 1e3
+MS = 1e3  # of a second
 
 
 SHOWN = 20.0  # log likelihood below the best that is drawn

@@ -28,7 +28,7 @@ from quadexp.physics.vehicle import Vehicle
 
 AIR_DENSITY = 1.2  # kg/m^3, where the vehicle does not state one
 START = (0.0, 0.1, 0.0, 0.0)  # scale, loss, advance, body
-LEAST_LOSS = 1e-3
+LEAST_LOSS = 1e-3  # 1/m; at it, the term is none
 SEARCH_SAMPLES = 8_000  # used by the search; more are thinned evenly. The linearisation uses all.
 
 

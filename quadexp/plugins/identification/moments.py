@@ -36,7 +36,7 @@ SPAN = 0.12  # s, over which velocity and attitude are compared with their integ
 FELT = 4.0  # time constants for which a command is followed
 BEGINS = 0.3  # s, after which the commands before the first are forgotten
 CLOCK = 10.0  # s, unit of time within the products
-N_AIR = 7
+N_AIR = 7  # of the air's columns
 LEAST = 100  # samples
 ROUND, ROUNDS = 25, 15  # steps of the half, in spans; twice as long from so many steps on
 

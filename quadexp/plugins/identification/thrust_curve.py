@@ -34,7 +34,7 @@ from quadexp.physics.state import root_mean_square
 POWERS = {"motor_command": (1, 2), "rotor_speed": (2,), "thrust_acceleration": (1,), "u": (1,)}
 INTERCEPT = ("thrust_acceleration",)
 DRAG_Z = "d_z"
-EXPONENT_RANGE = (0.0, 3.0)
+EXPONENT_RANGE = (0.0, 3.0)  # from a thrust that does not depend on the voltage to its cube, the power's
 SEARCH_SAMPLES = 40_000  # used by the search for the exponent; more are thinned evenly
 
 

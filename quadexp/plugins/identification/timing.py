@@ -49,9 +49,9 @@ MASKS = np.array([[0.0, 0, 1], [1, 0, 1], [0, 1, 1], [1, 1, 1]])  # which of dea
 STARTS = np.array(np.meshgrid([0.005, 0.02, 0.05], [0.01, 0.04], [0.002, 0.015])).T.reshape(-1, 3)  # s
 SMALL_STEP, NEAR = 1e-3, 4e-3  # s, of differences
 CLOSE = 1e-4  # s, at which a descent ends
-LEAST_NOISE = 1e-9
+LEAST_NOISE = 1e-9  # keeps the logarithm finite where there is no noise
 LEFT = [f"{name}_{what}" for name in ("thrust", "x", "y") for what in ("left", "against")]
-DESCENTS, TRIALS = 12, 4
+DESCENTS, TRIALS = 12, 4  # steps of a descent, and lengths that are tried for each
 FINE = 400  # parts of a control period to which a shift is found
 # A polynomial of the fourth degree at these parts by its values at five even ones.
 BETWEEN = np.vander(np.linspace(0.0, 1.0, FINE + 1), 5) @ np.linalg.inv(np.vander(np.linspace(0.0, 1.0, 5), 5))

@@ -26,7 +26,7 @@ from quadexp.plugins.identification.vehicle_model import FitSettings, VehicleMod
 from quadexp.provenance import provenance, versions
 from quadexp.writer import check_output, write_text
 
-HORIZONS = (0.1, 0.5, 1.0)
+HORIZONS = (0.1, 0.5, 1.0)  # s: about those of a rate loop, of an MPC and of a manoeuvre
 REPORT_FILE = "validation.json"
 
 

@@ -53,9 +53,9 @@ from quadexp.plugins.identification.thrust_curve import ThrustCurve
 from quadexp.plugins.identification.vehicle_model import VehicleModel
 
 BLOCK = 2.0  # s, of the bootstrap
-DRAWS = 1000
-CONFIDENCE = 0.95
-BANDS = 4
+DRAWS = 1000  # resamplings of the flights for an interval
+CONFIDENCE = 0.95  # of every interval, as in the tables of results
+BANDS = 4  # of speed, with as many rows in a table
 NOMINAL = "nominal"
 _KIND_NAMES = {"linear": "linear drag", "quadratic": "quadratic drag", "blade_element": "blade element"}
 LOST_SPEED, LOST_RATE = 100.0, 200.0  # m/s, rad/s: a prediction beyond them is stopped

@@ -53,7 +53,7 @@ LEVEL_NAMES = {
     "nominal": "nominal thrust", "offset": "+ offsets", "linear": "+ linear drag", "quadratic": "+ quadratic drag",
     "blade_element": "blade element, lumped",
 }  # fmt: skip
-MOST_FOLDS = 10
+MOST_FOLDS = 10  # flights that are held out one by one; each costs a fit
 HOVER_INFLOW = "blade_element_still"  # key of the blade-element model whose induced velocity is that of hover
 MOST_SAMPLES = 20_000  # of the comparisons of models and of curves; more are thinned evenly
 CURVES = ((1, 2), (1,), (2,))  # powers of motor_command that are compared

@@ -34,12 +34,12 @@ from quadexp.report.text import speed_text
 from quadexp.writer import check_output, written
 
 FORMATS = (".gif", ".mp4")
-DPI = 100
+DPI = 100  # of matplotlib's usual figure
 SIZE = (7.2, 3.9)  # inches
 TRAIL = 1.5  # s of path behind a vehicle
 COLOURS = 64  # of a GIF
 HOLD = 1.2  # s that the last frame stays
-MOST_FRAMES = 3000
+MOST_FRAMES = 3000  # 2 min at 25 a second
 SAME = 1e-6  # m; references that differ by more are not the same
 ALIKE = 1e-3  # m; the same of flights at different rates, whose references are compared between samples
 

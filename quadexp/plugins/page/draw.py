@@ -57,7 +57,7 @@ ON_PAPER: Any = {  # letters of the size and kind of the text around: Times, in 
     "font.family": ["STIXGeneral", "DejaVu Sans"], "mathtext.fontset": "stix",
 }  # fmt: skip
 LEAST_PANEL = 2.2  # inches, of the width of a panel on paper
-MAX_PANELS = 36
+MAX_PANELS = 36  # six by six: smaller ones have no room for their labels
 WIDEST_LINEAR = 5.0  # ratio of the largest to the smallest mean, beyond which their axis is logarithmic
 APART = 0.065  # share of a panel between two labels of ticks
 SPREAD = 0.6  # of the room of a group, taken by its places side by side

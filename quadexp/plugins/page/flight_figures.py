@@ -22,7 +22,7 @@ from quadexp.report.metrics import mean_error, position_error
 from quadexp.report.pairing import grouped
 from quadexp.report.style import COLOURS, ERROR_COLOURS, Figure, entries, error_bar, looks, plain_log, styled
 
-MS = 1e3
+MS = 1e3  # of a second
 MAX_PANELS = 36  # of tracked paths in one figure
 
 

@@ -18,9 +18,9 @@ from quadexp.models.gaussian_process import GPModel, OutputPosterior
 from quadexp.models.residual import THRUST, VELOCITY
 from quadexp.report.style import BLUE, COUNTS, ORANGE, Figure, entries, mathematics, styled
 
-CURVE_POINTS = 300
-MAX_COLUMNS = 4
-BINS = 24
+CURVE_POINTS = 300  # one a pixel of a panel
+MAX_COLUMNS = 4  # panels beside each other on a page
+BINS = 24  # of a histogram of a panel's width
 MOST_DOTS = 1500  # of a flight
 QUANTITY = {  # first part of a feature's or output's name -> what it is, symbol, unit
     "v": ("body velocity", "v", "m/s"),

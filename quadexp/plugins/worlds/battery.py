@@ -42,7 +42,7 @@ from quadexp.world.actuator import first_rotor_column, rotor_column, rotor_colum
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
 
 CHARGE, RC_VOLTAGE, VOLTAGE, CURRENT = range(4)
-STATES, TANGENT = 4, 2
+STATES, TANGENT = 4, 2  # logged states, and those of the line of the thrust limit
 PARAMETERS = (
     "cells", "capacity", "resistance", "rc_resistance", "rc_decay", "rc_share", "per_reference", "power_of_a_newton",
     "electronics", "thrust_max", "power_max", "cutoff", "rotor_column_factor",

@@ -50,7 +50,7 @@ from quadexp.world.streams import NEVER, TICK, Ticking
 
 FOOT = 0.3048  # m
 N_FILTER, N_NOISE = 5, 5  # states [along z_1; across z_1, z_2; vertical z_1, z_2], and numbers per step
-N_PARAMETERS = 20
+N_PARAMETERS = 20  # of the function below
 TRANSVERSE = (math.sqrt(1.5), (1 - math.sqrt(3)) / math.sqrt(2))  # of z_1 and z_2
 IN_TIME = 1e-9  # s, by which an integration step may begin before the wind that it takes
 SMALL, TERMS = 0.1, 10  # s up to which moments are summed as series, and terms that reach rounding there

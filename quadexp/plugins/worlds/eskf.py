@@ -53,12 +53,12 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.worlds.inertial import FORCE, N_BIAS, N_DENSITIES, N_READING, TURN, Aid, InertialSensors
 from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
 
-N_NOMINAL, N_ERROR = 16, 15
+N_NOMINAL, N_ERROR = 16, 15  # position, velocity, attitude (4 and 3 numbers), two biases of 3
 # Of the nominal state; the others as in physics/state.
 ACCELEROMETER_BIAS, GYROSCOPE_BIAS = slice(10, 13), slice(13, 16)
 PLACES = D_POSITION, D_VELOCITY, D_ATTITUDE, _, _ = tuple(range(i, i + 3) for i in range(0, N_ERROR, 3))
 N_COVARIANCE = N_ERROR * (N_ERROR + 1) // 2  # numbers of the upper triangle
-PARTS = [0, 3, 6, 9, 12, 15]
+PARTS = [0, 3, 6, 9, 12, 15]  # where position, velocity, attitude and the two biases begin, and the end
 N_ENTRY = N_READING + 1  # of the queue, without the fixes: reading and interval
 KNOWN = slice(0, N_NOMINAL + N_COVARIANCE)  # of the inner states: nominal state and covariance; then the queue
 BIASES = slice(D_ATTITUDE.stop, N_ERROR)

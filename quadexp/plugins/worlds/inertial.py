@@ -54,7 +54,7 @@ from quadexp.world.streams import TICK, Drawn, Held, Sampled
 N_READING = 6  # [a_m, w_m]
 N_BIAS = 6  # [b_a, b_g]
 N_NOISE = N_READING + N_BIAS
-N_DENSITIES = 4
+N_DENSITIES = 4  # white noise and drift, of gyroscope and accelerometer
 FORCE, TURN = slice(0, 3), slice(3, 6)
 WALK = 0.02  # s, see Held
 

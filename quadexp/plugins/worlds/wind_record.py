@@ -22,7 +22,7 @@ from quadexp.physics.expression import Expression, limited
 from quadexp.world.effect import Effect, Moment
 
 COLUMNS = ("t", "wind_x", "wind_y", "wind_z")
-MAX_ROWS = 100_000
+MAX_ROWS = 100_000  # nearly 3 h at 10 Hz
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,10 +24,10 @@ from quadexp.log.store import METADATA_KEY, as_numpy, first_line
 from quadexp.names import distinct
 
 HEAD = 1 << 18  # bytes looked at for header and delimiter
-LONGEST_LINE = 1 << 16
+LONGEST_LINE = 1 << 16  # characters: 3,000 columns of 20
 TEXT_SHARE = 0.97  # of the first bytes that must be printable for a file to be text
 MOST_VALUES = 1 << 30  # numbers read from one file at most: 8 GB would not fit beside what is made of them
-DESCRIBED_ROWS = 300_000
+DESCRIBED_ROWS = 300_000  # 5 min at 1 kHz: what a description is made of
 DESCRIBED_COLUMNS = 400  # looked at for a mapping
 _DELIMITERS = ((",", "."), (";", "."), ("\t", "."), (" ", "."), (";", ","), ("\t", ","))
 EMPTY = ["", "nan", "NaN", "NAN", "-nan", "NA", "N/A", "null", "None", "#N/A"]

@@ -14,7 +14,7 @@ from quadexp.errors import DataError
 from quadexp.log.runs import runs
 from quadexp.physics.state import finite_rows
 
-GAP_PERIODS = 5.0
+GAP_PERIODS = 5.0  # of the stream; what is shorter is interpolated over
 ORDER = 3  # of the polynomial whose derivative is taken
 
 

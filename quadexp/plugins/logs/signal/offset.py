@@ -33,11 +33,11 @@ LARGEST = 0.5  # s
 BAND = 4.0  # Hz, -3 dB: vehicles turn slower, motion capture shakes faster
 SLOWEST = 0.25  # Hz, -3 dB
 BLOCK = 0.5  # s: the shortest stretch that tells
-STRETCHES = 6
-LEAST_CORRELATION = 0.5
+STRETCHES = 6  # their scatter gives the standard error; of 6 it is known to a third
+LEAST_CORRELATION = 0.5  # a quarter of the variance is common
 AMBIGUOUS = 0.97  # another peak as high as this share of the highest one
 LARGEST_ERROR = 0.02  # s
-LEAST_SAMPLES = 50
+LEAST_SAMPLES = 50  # of a stream; of fewer a correlation of 0.3 may be chance
 # Which stream is compared with which other one, and with what correlation: an accelerometer feels more than the motion.
 PAIRS = (("rate", "attitude", 0.7), ("acceleration", "velocity", 0.9), ("acceleration", "position", 0.9),
          ("position", "velocity", 0.9))  # fmt: skip

@@ -29,7 +29,7 @@ from quadexp.report.table import Table
 from quadexp.report.tables import comparison_table, error_table
 from quadexp.report.text import duration, number, percent, probability, shown, speed_text
 
-WORST = 9
+WORST = 9  # rows that fit on a screen
 EACH = 2  # flights of one contestant among the worst, of those that were completed
 LOOKED_AT = 500  # flights whose settings are compared
 MOST_VALUES = 12  # of a setting

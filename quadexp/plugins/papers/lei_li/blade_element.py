@@ -68,7 +68,7 @@ LEAST_SAMPLES = 2 * (COUNT + LEAST_BLOCKS)
 PRIOR_SPREAD = 100.0  # standard deviation of the prior, relative to the initial values
 PRIOR_OFFSET = 1.0  # m/s^2
 LIFT_RANGE = (0.05, 20.0)  # search range of C_la, relative to its initial value; V_I has no solution for C_la <= 0
-MOST_STEPS = 60
+MOST_STEPS = 60  # of a bisection: 2^-60 of the bracket is below the rounding
 CONVERGED = 1e-4  # step size in standard errors
 FIRST_VALUES = BladeCoefficients(lift_slope=1.66, profile_drag=0.11, body_drag=(0.005, 0.005, 0.01))  # half of Table 1
 OFFLINE = RLSSettings.scaled(gauss_newton=True)

@@ -49,7 +49,7 @@ from quadexp.plugins.remedies.observers.filters import (
 from quadexp.plugins.remedies.observers.observer import ObserverPart, arguments, believer
 
 N_FORCE_STATE = 7  # a^, v^, P
-N_FORCE_SETTINGS = 9
+N_FORCE_SETTINGS = 9  # numbers of `settings`
 
 
 def disturbance_function(

@@ -43,7 +43,7 @@ from quadexp.plugins.remedies.observers.observer import ObserverPart, arguments,
 
 N_AIR = 4  # wind (3,), thrust scale - 1
 N_FORCE = 3  # over the mass
-N_WIND_SETTINGS = 8
+N_WIND_SETTINGS = 8  # numbers of `settings`
 TYPICAL_AIRSPEED = 5.0  # m/s, at which the drag slope is taken
 
 

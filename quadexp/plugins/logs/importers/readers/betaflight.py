@@ -30,9 +30,9 @@ from quadexp.plugins.logs.units import STANDARD_GRAVITY, UNITS
 ABOUT = "Betaflight; needs [betaflight]"
 HEAD = b"H Product:Blackbox"
 QUAD_X = ("back_right", "front_right", "back_left", "front_left")
-QUATERNION_SCALE = 2**15 - 1
-USUAL_POLES = 14
-USUAL_OUTPUT = (1000.0, 2000.0)
+QUATERNION_SCALE = 2**15 - 1  # 16 bits with sign
+USUAL_POLES = 14  # Betaflight's own default
+USUAL_OUTPUT = (1000.0, 2000.0)  # DShot and PWM, the least and the largest (us)
 
 Numbers = dict[str, np.ndarray]  # field of the log -> values, (k,)
 

@@ -32,13 +32,13 @@ from quadexp.plugins.logs.importers.readers.ulog import TOPICS, read_topics
 from quadexp.plugins.logs.signal import Stream
 from quadexp.plugins.logs.units import UNITS
 
-MOST_MESSAGES = 20_000_000
+MOST_MESSAGES = 20_000_000  # 5 h at 1 kHz
 PER_MESSAGE = 400  # bytes that a message takes once it is read
-MOST_ROTORS = 16
+MOST_ROTORS = 16  # of PX4's actuator messages
 NOT_MEASURED = re.compile(r"setpoint|reference|desired|target|command/pose|cmd_vel|goal|raw_odom|waypoint")
 BODY_FRAME = re.compile(r"base_link|body|imu|fcu|drone|quad|child")
 RPM = UNITS["rotor_speed"]["rpm"]
-LEAST_MESSAGES = 10
+LEAST_MESSAGES = 10  # fewer are no stream of a sensor
 
 
 class _Rows(NamedTuple):
@@ -194,6 +194,7 @@ _MESSAGES: tuple[tuple[str, _Fields], ...] = (  # type -> what it holds
       ("rate", "velocity.angular"), ("rotor_speed", "motors"))),
     (r".*/\w*(RPM|Rpm|MotorSpeed|RotorSpeed|MotorSpeeds|EscFeedback)s?", _SPEEDS),
 )  # fmt: skip
+# numbers of a message
 _WIDTHS = {"position": 3, "velocity": 3, "rate": 3, "acceleration": 3, "attitude": 4, "battery_voltage": 1}
 
 

@@ -32,7 +32,7 @@ Topics = Mapping[str, Sequence[Topic]]  # name -> instances
 
 NED, FRD = axes_matrix("world", "NED", ""), axes_matrix("body", "FRD", "")
 RPM = UNITS["rotor_speed"]["rpm"]
-MOST_ROTORS = 12
+MOST_ROTORS = 12  # of PX4's actuator messages
 QUAD_X = ("front_right", "back_left", "front_left", "back_right")
 # Where a quantity stands, best first: the topic, then its fields. "[3]" is an array of three.
 SOURCES: dict[str, tuple[str, ...]] = {
