@@ -66,7 +66,10 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/plugins/identification/inflow.py": RESIDUAL,
     "quadexp/models/terms.py": RESIDUAL,
     "quadexp/models/linear_drag.py": (*RESIDUAL, "tests/models/test_linear_drag.py"),
-    "quadexp/models/gaussian_process.py": (*RESIDUAL, "tests/models/test_gp_fit.py"),
+    "quadexp/plugins/gaussian_process/gaussian_process.py": (
+        *RESIDUAL,
+        "tests/plugins/gaussian_process/test_gp_fit.py",
+    ),
     "quadexp/plugins/neural/neural.py": (*RESIDUAL, "tests/plugins/neural/test_neural.py"),
     "quadexp/plugins/papers/lei_li/blade_element.py": (*RESIDUAL, "tests/plugins/papers/test_blade_fit.py"),
     "quadexp/plugins/remedies/observers/*.py": ("tests/plugins/remedies/test_observers.py",),
@@ -75,13 +78,13 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/plugins/remedies/delay/test_prediction.py",
         "tests/plugins/remedies/test_observers.py",
     ),
-    "quadexp/control/mpc/believed_world.py": (
-        "tests/control/mpc/test_believed_world.py",
+    "quadexp/plugins/remedies/believed_world.py": (
+        "tests/plugins/remedies/test_believed_world.py",
         "tests/plugins/remedies/test_observers.py",
     ),
-    "quadexp/control/mpc/targets.py": (
-        "tests/control/mpc/test_targets.py",
-        "tests/control/mpc/test_believed_world.py",
+    "quadexp/plugins/remedies/targets.py": (
+        "tests/plugins/remedies/test_targets.py",
+        "tests/plugins/remedies/test_believed_world.py",
         "tests/plugins/remedies/test_observers.py",
     ),
     "quadexp/plugins/remedies/online_mpc.py": ("tests/plugins/remedies/test_online_mpc.py",),
@@ -99,7 +102,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/control/mpc/interpreted.py": STEP,
     "quadexp/control/mpc/stages.*": STEP,
     "quadexp/control/mpc/riccati*": ("tests/control/mpc/test_riccati.py", "tests/control/mpc/test_active_set.py"),
-    "quadexp/models/gp_sums.c": ("tests/models/test_residuals.py",),
+    "quadexp/plugins/gaussian_process/gp_sums.c": ("tests/models/test_residuals.py",),
     "quadexp/control/mpc/active_set.*": ("tests/control/mpc/test_active_set.py", "tests/control/mpc/test_step.py"),
     "quadexp/control/mpc/first_solve.py": ("tests/control/mpc/test_first_solve.py", *STEP),
     "quadexp/control/mpc/mpc.py": STEP[1:] + STEP[:1],
@@ -108,8 +111,8 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/control/mpc/test_dead_time.py",
         "tests/control/mpc/test_first_solve.py",
     ),
-    "quadexp/experiment/linear_loop.py": ("tests/experiment/test_linear_loop.py",),
-    "quadexp/experiment/linearised.py": ("tests/experiment/test_linear_loop.py",),
+    "quadexp/plugins/margins/linear_loop.py": ("tests/plugins/margins/test_linear_loop.py",),
+    "quadexp/plugins/margins/linearised.py": ("tests/plugins/margins/test_linear_loop.py",),
     "quadexp/reference/flat*.py": (
         "tests/reference/test_flat_map.py",
         "tests/reference/test_limits.py",

@@ -10,6 +10,7 @@ BRINGS = {
     "models": {"vehicle_model": "quadexp.plugins.identification.vehicle_model"},
     "services": {
         "recorded_flights": "quadexp.plugins.identification.recorded",
+        "rotor_thrust": "quadexp.plugins.identification.rotor_thrust",
         "timing_of_recorded": "quadexp.plugins.identification.delays:timing_by_accelerometer",
     },
 }

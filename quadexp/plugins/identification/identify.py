@@ -22,7 +22,6 @@ from quadexp.experiment.vehicle_of import own_vehicle, recorded_vehicle, refuse_
 from quadexp.log import store
 from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import save_model
-from quadexp.models.samples import QUATERNION, Samples, gather_to_fit, rotor_columns
 from quadexp.parts.options import Folders
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.inflow import momentum_of
@@ -36,6 +35,7 @@ from quadexp.plugins.identification.vehicle_model import (
     flight_by_flight,
     selection,
 )
+from quadexp.plugins.logs.samples import QUATERNION, Samples, gather_to_fit, rotor_columns
 from quadexp.plugins.papers.lei_li.blade_element import Identification, identify_flight
 from quadexp.provenance import provenance, versions
 from quadexp.writer import check_output

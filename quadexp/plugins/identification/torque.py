@@ -34,11 +34,11 @@ from scipy.spatial.transform import Rotation
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.vehicle_of import own_vehicle
 from quadexp.models.regression import half_width, regress
-from quadexp.models.samples import QUATERNION, FlightRows, gather_to_fit, read_rows
 from quadexp.parts.options import Folders
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.identify import read_recorded
 from quadexp.plugins.identification.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples
+from quadexp.plugins.logs.samples import QUATERNION, FlightRows, gather_to_fit, read_rows
 from quadexp.report.table import Table
 
 LOW, HIGH = 1.0, 15.0  # Hz
