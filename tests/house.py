@@ -47,6 +47,7 @@ PLUGIN_FLOORS = (
         "logs",
         "margins",
     ),  # fmt: skip
+    ("page",),
     ("papers", "auto", "bench", "gym", "vehicle", "archive", "check"),
     ("identification",),
 )
