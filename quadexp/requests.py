@@ -51,7 +51,7 @@ def simulate(
 ) -> Flown:
     """Fly one configuration. keep: write the flight, to runs/ where no `out` is given."""
     from quadexp.experiment.evaluate import fly_one
-    from quadexp.experiment.identity import unused_model
+    from quadexp.experiment.identity import edited_models, unused_model
     from quadexp.log.store import write_flight
     from quadexp.parts.compose import session
     from quadexp.report.metrics import declare_parts, measured
@@ -73,7 +73,7 @@ def simulate(
     if path is not None:
         write_flight(path, flight, force=force)
     about = flight.metadata
-    notes = [unused_model([config]), about["reference_note"], world_note(about["margins"])]
+    notes = [unused_model([config]), *edited_models([config]), about["reference_note"], world_note(about["margins"])]
     return Flown(flight, path, [note for note in notes if note])
 
 
@@ -147,7 +147,7 @@ def evaluate(
     if sweep and first.engine.kind == "local" and not (out / RESULTS).exists():
         start_server(preload)  # which imports these while the modules that follow are imported here
 
-    from quadexp.experiment.identity import unused_model
+    from quadexp.experiment.identity import edited_models, unused_model
     from quadexp.parts.options import given_folders
     from quadexp.report.metrics import declare_parts
     from quadexp.report.notes import invalid_text
@@ -192,7 +192,8 @@ def evaluate(
     if missing := result.not_flown:
         cause = f"{len(missing)} of {len(result.rows)} cells were not flown; the first: {missing[0]['cause']}"
         failed.append(cause)
-    doubts = [unused_model(cell.config for cell in cells), *_doubts(sample), *result.notes]
+    flown = [cell.config for cell in cells]
+    doubts = [unused_model(flown), *edited_models(flown), *_doubts(sample), *result.notes]
     notes, invalid = [note for note in doubts if note], invalid_text(result.rows) if result.invalid else ""
     return Swept(result, settings.metric, out, files | special, lines, notes, failed, invalid)
 

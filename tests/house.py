@@ -35,7 +35,6 @@ FLOORS = (
 # Floors of the plug-ins, above all of the core, which imports nothing from them.
 PLUGIN_FLOORS = (
     (
-        "page",
         "remedies",
         "tune",
         "worlds",
@@ -50,6 +49,7 @@ PLUGIN_FLOORS = (
     ("page",),
     ("papers", "auto", "bench", "gym", "vehicle", "archive", "check"),
     ("identification",),
+    ("public",),
 )
 
 

@@ -40,7 +40,7 @@ FOLDERS = {"examples/notebooks)": "examples/notebooks/compare_controllers.ipynb)
 def stage() -> None:
     """Copy the pages, and what they link to."""
     shutil.rmtree(PAGES, ignore_errors=True)
-    files = {path for pattern in SOURCES for path in ROOT.glob(pattern)}
+    files = {path for pattern in SOURCES for path in ROOT.glob(pattern) if path.is_file()}
     for page in [path for path in files if path.suffix == ".md"]:
         for target in LINK.findall(page.read_text(encoding="utf-8")):
             linked = (page.parent / target).resolve()

@@ -164,10 +164,13 @@ def show(
         raise UsageError(f"--out {out}: only beliefs are drawn: give --beliefs")
     if margins and beliefs:
         raise UsageError("show: --margins and --beliefs: one at a time")
+    from quadexp.parts.options import given_folders
+
     if margins:
         return _margins([str(path), *overrides], conf)
-    if overrides or conf:
+    if overrides:
         raise UsageError("show: settings are for --margins")
+    given_folders(conf)
     if beliefs:
         return _beliefs(path, out, force)
     from quadexp.report.summary import summarise

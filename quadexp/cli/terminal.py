@@ -142,8 +142,10 @@ def guarded(command: str) -> Iterator[None]:
         if os.environ.get("QUADEXP_DEBUG"):
             raise
         text = " ".join(str(error).split())[:300]
-        message = f"{type(error).__name__}: {text} (QUADEXP_DEBUG=1 shows where)"
-        raise fail(message, 1) from error
+        modules = sys.modules.get("quadexp.parts.user_modules")
+        place = modules.place_of(error) if modules else ""
+        where = f"{place}: " if place else ""
+        raise fail(f"{where}{type(error).__name__}: {text} (QUADEXP_DEBUG=1 shows where)", 1) from error
 
 
 def _interrupted(command: str) -> Exit:

@@ -27,6 +27,7 @@ from quadexp.parts.sensor_sheet import SensorSheet, Stated
 from quadexp.parts.user_modules import generation
 from quadexp.physics.vehicle import Vehicle, plausible
 from quadexp.provenance import content_hash
+from quadexp.reference.base import check_own
 
 T = TypeVar("T")
 KEPT = 64  # things kept at most, the one not used for longest goes: a sweep over plants makes a plant a cell
@@ -174,7 +175,10 @@ def build_trajectory(config: Any, vehicle: Vehicle | None = None) -> Any:
     """
 
     def make() -> Any:
-        return checked("trajectory", config, _with_file(config.anew()).build(vehicle))
+        made = checked("trajectory", config, _with_file(config.anew()).build(vehicle))
+        if not config.shipped:
+            check_own(made, config.name)
+        return made
 
     if not (config.shipped or config.follows_limits):
         return make()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -210,10 +211,12 @@ def build_loop(config: Config, model: ModelFile | None) -> Loop:
     return Loop(vehicle, plant, controller, margins)
 
 
-def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
+def fly_one(
+    config: Config, model: ModelFile | None = None, *, through: Callable[[Loop], Loop] = lambda loop: loop
+) -> Flight:
     """Fly one configuration.
 
-    model: the checkpoint; None: found by the configuration.
+    model: the checkpoint; None: found by the configuration. through: makes of the loop the one that is flown.
     Raises UsageError (InfeasibleError) before the flight only; how the flight went is its outcome.
     """
     model = model or find_model(config)
@@ -228,16 +231,16 @@ def fly_one(config: Config, model: ModelFile | None = None) -> Flight:
 
     note = keep(["path", path_digest, *beside], check) if known else check()
     loop = build_loop(config, model)
-    controller = loop.controller
+    controller, flown = loop.controller, through(loop)
     limits = {"lost_distance": config.trajectory.lost_distance, "lost_box": config.trajectory.lost_box}
     metadata = describe(config, vehicle, model)
-    flight = loop.fly(
+    flight = flown.fly(
         trajectory, generator(config, metadata["config"]), digest=path_digest, metadata=metadata, **limits
     )
     residual = {"name": controller.name, "source": controller.source}
     late, lag, age = (float(getattr(loop.plant, name, 0.0)) for name in ("loop_delay", "loop_lag", "age"))
     timing = {"age": age, "dead_time": late - age, "lag": lag}  # s, as they are
-    flight.metadata.update(reference_note=note, residual=residual, margins=loop.margins, timing=timing)
+    flight.metadata.update(reference_note=note, residual=residual, margins=flown.margins, timing=timing)
     flight.metadata["lacking"] = list(getattr(controller, "lacking", ()))
     if getattr(config.controller, "attitude_error", "") == "plain" and len(flight):
         reference = flight.stack([f"ref_{name}" for name in STATE_COLUMNS[ATTITUDE]])

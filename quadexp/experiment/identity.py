@@ -170,6 +170,19 @@ def unused_model(configs: Iterable[Config]) -> str:
     return f"{names} {verb}: model={next(iter(without.values()))} is not used"
 
 
+def edited_models(configs: Iterable[Config]) -> list[str]:
+    """A line for each checkpoint, of a controller or a plant, whose equations were edited after its fit."""
+    from quadexp.models.checkpoint import edited_note
+
+    folders: dict[str, None] = {}
+    for config in configs:
+        file = None if all(map(is_shipped, config.controller.learned)) else find_model(config)
+        folders |= dict.fromkeys(single.path for single in (file.files if file else ()))
+        stated = getattr(config.plant, "model", None)
+        folders |= {stated: None} if isinstance(stated, str) else {}
+    return list(filter(None, map(edited_note, folders)))
+
+
 # ------------------------------------------------------------------------------------------- files, code and packages
 class Decides(NamedTuple):
     """What decides a part besides its settings. files: by name. texts: what stands for those that were executed, and

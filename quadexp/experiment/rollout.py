@@ -176,7 +176,9 @@ def fly(
     world = plant if isinstance(plant, World) else None
     noise: Any = rng
     thrust = reference.first_thrust if start is None else None
-    if isinstance(plant, SimulatedPlant) and type(plant).advance is SimulatedPlant.advance:
+    if isinstance(plant, World) or (
+        isinstance(plant, SimulatedPlant) and type(plant).advance is SimulatedPlant.advance
+    ):
         noise = plant.begin(x, period, float(reference.t[-1]) + period, rng, thrust)
     else:
         plant.reset()

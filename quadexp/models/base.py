@@ -194,6 +194,10 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
         """
         raise UsageError(f"{residual.source}: {self.kind} has no weights that adapt in flight")
 
+    def rivals(self, train: ResidualDataset) -> dict[str, Callable[[ResidualDataset], np.ndarray]]:
+        """Others to stand beside it on held-out flights, fitted to `train`: name -> acceleration of rows, (k, 3)."""
+        return {}
+
     @property
     def part(self) -> ModelPart:
         """What it was fitted by, with the settings of its fit. Raises UsageError where its option is not there."""

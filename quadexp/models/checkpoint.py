@@ -3,10 +3,12 @@
 model.json is {"schema", "sha256", "payload"}; the hash is over the payload's canonical JSON (sorted keys, no spaces,
 shortest decimals that give the same double), so that edits are detected and a round trip is exact. It contains no code,
 and loading it imports neither torch nor CasADi. The payload is the model's record, field by field (base.py).
+Of a user's own model it also has "equations", a hash of the code that was fitted: coefficients belong to it alone.
 """
 
 from __future__ import annotations
 
+import ast
 import json
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,10 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import Model, Record, model_class
 from quadexp.names import check_names, sha256_of
+from quadexp.parts.models import is_shipped, kinds, model_part
+from quadexp.parts.user_modules import data_of, modules_of
 from quadexp.physics.vehicle import Vehicle
+from quadexp.provenance import place_hash
 from quadexp.writer import check_output, write_folder
 
 SCHEMA = 2
@@ -36,6 +41,8 @@ def save_model(path: str | Path, model: Model, *, report: dict[str, Any] | None 
     path = check_output(path, force=force, folder=True)
     payload = plain(model)
     document = {"schema": SCHEMA, "sha256": _hash(payload), "payload": payload}
+    if not is_shipped(model.kind):
+        document["equations"] = _equations(model.kind)
     files = {MODEL_FILE: json.dumps(document, allow_nan=False) + "\n"}
     if report is not None:
         files[REPORT_FILE] = json.dumps(report, indent=1) + "\n"
@@ -79,10 +86,40 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None, unknown: boo
     return model
 
 
+def edited_note(path: str | Path) -> str:
+    """Of a checkpoint whose equations were edited after its fit, that they were, in one line; "" for any other, and
+    where the --conf folder of its equations is not given."""
+    fitted = _decoded(Path(path) / MODEL_FILE).get("equations", "")
+    kind = load_model(path).kind if fitted else ""
+    if not fitted or kind not in kinds() or fitted == _equations(kind):
+        return ""
+    return f"{path}: fitted with other equations than {kind}.py, or what it imports, has now: fit it again"
+
+
 def load_report(path: str | Path) -> dict[str, Any]:
     """The report.json of a checkpoint directory, {} if it has none."""
     file = Path(path) / REPORT_FILE
     return _decoded(file) if file.is_file() else {}
+
+
+def _equations(kind: str) -> str:
+    """Hash of the code of a user's model: the statements of its module, and of those of the user's that it imports,
+    without comments, docstrings and layout; and of the data that they name."""
+    hashes = {}
+    for name, path in sorted(modules_of([type(model_part(kind)).__module__])[2].items()):
+        hashes[name] = sha256_of(_statements(path)) if path.suffix == ".py" else place_hash(path)
+        hashes |= {f"{name} {text}": place_hash(place) for text, place in data_of(name, path).items()}
+    return _hash(hashes)
+
+
+def _statements(path: Path) -> str:
+    tree = ast.parse(path.read_bytes())
+    for node in ast.walk(tree):
+        if not isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)):
+            continue
+        if ast.get_docstring(node, clean=False) is not None:
+            del node.body[0]
+    return ast.dump(tree)
 
 
 def _decoded(file: Path) -> dict[str, Any]:

@@ -61,7 +61,7 @@ first order.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from typing import Annotated, Any, NamedTuple
@@ -219,13 +219,17 @@ class TermStructure(NamedTuple):
     def n_parameters(self) -> int:
         return sum(map(len, self.terms))
 
-    def torque(self, vehicle: Vehicle, features: Expression, theta: Expression) -> Expression:
-        """tau_body, (3,) (N m): the scale of every rotor's thrust, the term `thrust`, is that of its torque too."""
-        if "thrust" not in self.terms[2]:
-            return ca.SX(3, 1)
-        before = len(self.terms[0]) + len(self.terms[1])
-        scale = theta[before + self.terms[2].index("thrust")]
-        return scale * (ca.sparsify(ca.DM(vehicle.allocation[1:])) @ features[6:])
+    def torque(
+        self, vehicle: Vehicle, features: Expression, theta: Expression, gain: Sequence[float | None]
+    ) -> Expression:
+        """tau_body, (3,) (N m), beyond the vehicle file's. gain: torque over that, of each axis; None: the scale of
+        every rotor's thrust, the term `thrust`, is that of its torque too."""
+        scale: Expression = ca.SX(1, 1)
+        if "thrust" in self.terms[2]:
+            before = len(self.terms[0]) + len(self.terms[1])
+            scale = theta[before + self.terms[2].index("thrust")]
+        beyond = ca.vertcat(*(scale if ratio is None else ratio - 1 for ratio in gain))
+        return beyond * (ca.sparsify(ca.DM(vehicle.allocation[1:])) @ features[6:])
 
     def acceleration(self, features: Expression, theta: Expression) -> Expression:
         """a_body, (3,) (m/s^2), of z = [v_body, w, u] and theta, the coefficients of all axes one after the other."""
@@ -235,12 +239,13 @@ class TermStructure(NamedTuple):
 
 
 def term_residual(
-    vehicle: Vehicle, structure: TermStructure, coefficients: np.ndarray, source: str = "", *, torque: bool = False
-) -> Residual:
-    """Residual of the terms; coefficients of all axes, (p,). source: for the record. torque: whether the rotors'
-    torques have the scale of their thrust that the term `thrust` states."""
+    vehicle: Vehicle, structure: TermStructure, coefficients: np.ndarray, source: str = "", *,
+    torque: Sequence[float | None] | None = None,
+) -> Residual:  # fmt: skip
+    """Residual of the terms; coefficients of all axes, (p,). source: for the record. torque: see TermStructure.torque,
+    None: as the vehicle file states it."""
     features, theta = symbols(ca.SX, z=len(feature_names(vehicle.n_rotors)), theta=structure.n_parameters)
-    beyond = structure.torque(vehicle, features, theta) if torque else ca.SX(3, 1)
+    beyond = ca.SX(3, 1) if torque is None else structure.torque(vehicle, features, theta, torque)
     outputs = ca.vertcat(structure.acceleration(features, theta), beyond)
     return symbolic_residual("identified", outputs, features, theta, coefficients, source=source)
 

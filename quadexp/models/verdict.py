@@ -35,6 +35,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.models.base import AXIS, Callback, Model, ModelPart, Prediction, outside_shares, quiet, rms
 from quadexp.models.common_scale import has_thrust_scale, with_common_scale
 from quadexp.models.dataset import DT_RANGE, ResidualDataset
+from quadexp.models.drag_choice import chosen_drag, compare_drag, drag_line
 from quadexp.models.linear_drag import LinearDrag, baseline
 from quadexp.models.regression import LEAST_FLIGHTS, between_flights
 from quadexp.models.terms import MEANS, fit_term_mean
@@ -197,8 +198,9 @@ def noise_floor(residuals: Sequence[np.ndarray], dataset: ResidualDataset) -> fl
 
 def verdict(model: Model, train: ResidualDataset, test: ResidualDataset) -> dict[str, Any]:
     """Comparison that `fit` reports, JSON-able: flights (held out), of (how many), duration of these (s), outputs
-    {a_x: {...}} and, for recorded flights, identified [...]: the same for the terms of `quadexp identify`, fitted to
-    the same rows. model: fitted to train."""
+    {a_x: {...}}, beside [...]: the model's rivals, and, for recorded flights, identified [...]: the same for the terms
+    of `quadexp identify`, fitted to the same rows, and air: which of these is taken (drag_choice). model: fitted to
+    train."""
     flight, target = np.asarray(test.columns["flight"]), test.matrix(ACCELERATION)
     of_drag, predictions = target - baseline(train, intervals=False).acceleration(test), model.predict(test)
     of_model = of_drag.copy()
@@ -211,11 +213,20 @@ def verdict(model: Model, train: ResidualDataset, test: ResidualDataset) -> dict
             "rmse": rmse, "drag_rmse": rms(errors[1]), "noise": floor,
             "unexplained": float(np.sqrt(max(rmse**2 - floor**2, 0.0))),
         }  # fmt: skip
-    report = {"outputs": outputs, "flights": len(test.flights)}
+    report: dict[str, Any] = {"outputs": outputs, "flights": len(test.flights)}
     report["of"] = len(train.flights) + len(test.flights)
     report["duration"] = float(sum(np.sum(data.columns["dt"]) for data in (train, test)))
+    report["beside"] = []
+    for name, acceleration in model.rivals(train).items():
+        error = target - acceleration(test)
+        row = {"model": name, "rms": rms(error), "this": rms(of_model)}
+        report["beside"].append(row | paired_ratio(of_model, error, flight).record())
     if not has_thrust_scale(train):
         return report
+    together = {name: np.concatenate([train.columns[name], test.columns[name]]) for name in train.columns}
+    order = np.argsort(together["flight"], kind="stable")
+    every = ResidualDataset({name: column[order] for name, column in together.items()}, train.metadata)
+    report["air"] = compare_drag(every)
     others = {"linear drag": of_drag}
     for kind in MEANS:
         with suppress(DataError):
@@ -245,10 +256,16 @@ def verdict_lines(report: dict[str, Any]) -> list[str]:
             f" noise at most {row['noise']:.3g},"
             f" the model's error at least {row['unexplained']:.3g}"
         )
+    for row in report.get("beside", []):
+        ratio = f"{row['this']:.3g} m/s^2 for {row['rms']:.3g}, ratio {row['text']}"
+        lines.append(f"  all axes, beside {row['model']}: {ratio}")
     if not report.get("identified"):
         return lines
     fit, *others = report["identified"]
-    best = min(others, key=lambda row: row["rms"])
+    taken = chosen_drag(report["air"])
+    by_name = {row["model"].removesuffix(" drag").replace(" ", "_"): row for row in others}
+    best = by_name.get(taken or "", min(others, key=lambda row: row["rms"]))
+    lines.append(f"  {drag_line(report['air'])}")
     text = ", ".join(f"{row['model']} {100 * row['share']:.1f} %" for row in report["identified"])
     lines.append(f"  error on the held-out flights relative to the thrust curve alone: {text}")
     beside = f"every model of `quadexp identify` ({best['text']} of {best['model']})"

@@ -167,6 +167,19 @@ def modules_of(names: Iterable[str]) -> tuple[dict[str, str], set[str], dict[str
     return {name: _texts.get(name) or content_hash(path) for name, path in files.items()}, elsewhere, files
 
 
+def place_of(error: BaseException) -> str:
+    """Where in a user's module an error came up, as FILE, line N; "" where none was running."""
+    files = {str(path): path for path in _places.values()}
+    place = ""
+    trace = error.__traceback__
+    while trace is not None:
+        file = trace.tb_frame.f_code.co_filename
+        if file in files:
+            place = f"{files[file].name}, line {trace.tb_lineno}"
+        trace = trace.tb_next
+    return place
+
+
 def generation() -> int:
     """How often modules were executed anew: what was made of their classes before is not to be used again."""
     return _state["generation"]

@@ -124,6 +124,29 @@ class LimitedTrajectory(TrajectoryPart):
         return replace(self, vehicle=None if self.allow_infeasible else vehicle)
 
 
+def check_own(trajectory: Trajectory, name: str) -> None:
+    """Raise UsageError where a user's trajectory does not give what the class Trajectory says. name: for messages."""
+    said = f"trajectory={name}: "
+    for what in ("duration", "peak_speed"):
+        value = getattr(trajectory, what)
+        number = isinstance(value, (int, float, np.floating)) and np.isfinite(value)
+        if not number or value < 0 or (what == "duration" and value == 0):
+            raise UsageError(f"{said}{what} is {str(value)[:40]}; a positive number is needed")
+    times = np.linspace(0.0, trajectory.duration, 3)
+    found = trajectory.flat_output(times)
+    if not isinstance(found, FlatOutput):
+        raise UsageError(f"{said}flat_output must give a FlatOutput, not {type(found).__name__}")
+    needed = {"position": (3, N_DERIVATIVES, 3), "yaw": (3, 3)}
+    for what, shape in needed.items():
+        array = getattr(found, what)
+        if what == "yaw" and array is None:
+            continue
+        if np.shape(array) != shape:
+            raise UsageError(f"{said}{what} of 3 times has the shape {np.shape(array)}; {shape} is needed")
+        if not np.isfinite(array).all():
+            raise UsageError(f"{said}{what} is not finite in the flight")
+
+
 def end_of(trajectory: Trajectory) -> float:
     """Time (s) up to which a trajectory moves: its `end` where it goes on after the flight, else its duration."""
     return float(getattr(trajectory, "end", trajectory.duration))

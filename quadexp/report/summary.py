@@ -249,7 +249,7 @@ def held_out_table(rows: Sequence[Mapping[str, Any]]) -> Table | None:
 
 
 def _checkpoint(path: Path) -> dict[str, Any]:
-    from quadexp.models.checkpoint import load_model, load_report
+    from quadexp.models.checkpoint import edited_note, load_model, load_report
 
     model, file = load_model(path), path / MODEL_FILE
     try:
@@ -270,6 +270,7 @@ def _checkpoint(path: Path) -> dict[str, Any]:
         f"vehicle     {model.vehicle.get('name')} ({model.vehicle.get('fingerprint')})",
         f"data        {data.get('rows')} rows of {data.get('flights')} flights, sha256 {str(data.get('sha256'))[:12]}",
     ]
+    lines += [f"warning: {edited}"] if (edited := edited_note(path)) else []
     lines += described
     lines += range_lines(model.feature_range)
     if (scores := held_out_table(summary["held_out"])) is not None:

@@ -56,6 +56,21 @@ class Equations:
     mass: ca.Function | None = None
     thrust: ca.Function | None = None
 
+    def __post_init__(self) -> None:
+        """Raises UsageError where the step does not take or give what it has to."""
+        step = self.step
+        outputs = STEP_OUTPUTS[:1] if self.end else STEP_OUTPUTS
+        if step.n_in() != len(STEP_INPUTS) or step.n_out() < len(outputs):
+            needed = f"{', '.join(STEP_INPUTS)} -> {', '.join(outputs)}"
+            found = f"it has {step.n_in()} inputs and {step.n_out()} outputs"
+            raise UsageError(f"{step.name()}: must be a function {needed}; {found}")
+        sizes = {STEP_OUTPUTS[0]: (step.numel_out(0), step.numel_in(0))}
+        if self.end is None:
+            sizes[STEP_OUTPUTS[1]] = (step.numel_out(1), 3)
+        for name, (size, needed) in sizes.items():
+            if size != needed:
+                raise UsageError(f"{step.name()}: its output {name} has {size} numbers; {needed} are needed")
+
     @property
     def inner_size(self) -> int:
         """Inner states m."""
@@ -114,6 +129,10 @@ class SimulatedPlant:
 
     def reset(self) -> None:
         self.time, self.inner = 0.0, self.initial(np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust))
+        needed = (self.equations.inner_size,)
+        if np.shape(self.inner) != needed:
+            said = f"initial gives inner states of shape {np.shape(self.inner)}"
+            raise UsageError(f"{type(self).__name__}: {said}; {needed} is needed")
 
     def begin(
         self, x: np.ndarray, period: float, duration: float, rng: np.random.Generator, thrust: np.ndarray | None = None

@@ -6,6 +6,8 @@ indented below it, up to the next command, is what it prints.
 
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -64,3 +66,18 @@ def inline(page: Path) -> list[list[str]]:
     """The words after `quadexp` of every command in running text that stands there whole."""
     texts = [" ".join(text.split()) for text in INLINE.findall(page.read_text(encoding="utf-8"))]
     return [shlex.split(text)[1:] for text in texts if not re.search(r"\.\.\.|\b[A-Z]{2,}\b|…", text)]
+
+
+def run(program: str, words: list[str]) -> str:
+    """What the command prints on standard output; it must end well."""
+    from typer.testing import CliRunner
+
+    from quadexp.cli.app import app
+
+    if program != "quadexp":
+        done = subprocess.run([sys.executable, program, *words], capture_output=True, text=True)
+        assert done.returncode == 0, (program, words, done.stderr)
+        return done.stdout
+    found = CliRunner().invoke(app, words)
+    assert found.exit_code == 0, (words, found.stderr or found.output)
+    return found.stdout

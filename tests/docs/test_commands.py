@@ -3,8 +3,6 @@
 import importlib.util
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import click
@@ -14,7 +12,7 @@ from typer.testing import CliRunner
 
 from quadexp.cli.app import app
 from quadexp.parts.compose import session
-from tests.docs.commands import ROOT, commands, inline, steps
+from tests.docs.commands import ROOT, commands, inline, run, steps
 
 PAGES = sorted(page for folder in (".", "docs", "docs/site", "benchmarks") for page in (ROOT / folder).glob("*.md"))
 OVERRIDE = re.compile(r"[\w./@]+=.*", re.DOTALL)
@@ -130,14 +128,3 @@ def test_a_line_is_alike_where_words_agree_and_numbers_nearly():
     assert alike("│ circle │ 4 │ 116.4 [115.8, 116.9] │ 0.9 │", "│ circle   │   4 │ 117.0 [111, 120] │ 1.1 │")
     assert not alike("│ circle │ 4 │ 116.4 │", "│ circle │ 4 │ 36.4 │")
     assert not alike("models/gp", "models/gp2") and not alike("lost at 4 s", "ok at 4 s")
-
-
-def run(program: str, words: list[str]) -> str:
-    """What the command prints on standard output; it must end well."""
-    if program != "quadexp":
-        done = subprocess.run([sys.executable, program, *words], capture_output=True, text=True)
-        assert done.returncode == 0, (program, words, done.stderr)
-        return done.stdout
-    found = CliRunner().invoke(app, words)
-    assert found.exit_code == 0, (words, found.stderr or found.output)
-    return found.stdout

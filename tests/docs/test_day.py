@@ -13,8 +13,7 @@ import yaml
 from quadexp.parts.compose import expand
 from quadexp.plugins.logs.importers.mapping import _TOP, QUANTITIES
 from quadexp.report.frame import read_results
-from tests.docs.commands import ROOT, steps
-from tests.docs.test_commands import run
+from tests.docs.commands import ROOT, run, steps
 from tests.plugins.archive.test_archive import called, commands
 
 PAGE = ROOT / "docs" / "paper.md"

@@ -7,7 +7,7 @@ from pathlib import Path
 import nbformat
 import pytest
 
-from tests.docs.notebooks import FOLDER, NOTEBOOKS, environment, execute, read
+from tests.docs.notebooks import FOLDER, NOTEBOOKS, PROGRESS, environment, execute, read
 from tests.docs.test_commands import LOOSE, alike
 
 LARGEST = 500_000  # bytes of a notebook with its figures
@@ -17,7 +17,7 @@ AGAIN = "execute it again: python -m tests.docs.notebooks"
 def texts(cell) -> list[str]:
     """Lines that a cell prints, those aside that differ from run to run, and that of who waits on a slow machine."""
     printed = "".join(output["text"] for output in cell.get("outputs", ()) if output["output_type"] == "stream")
-    printed = re.sub(r"\r[^\r\n]*\x1b\[K", "", printed)
+    printed = PROGRESS.sub("", printed)
     return [line.strip() for line in printed.splitlines() if line.strip() and not line.strip().startswith(LOOSE)]
 
 

@@ -1,9 +1,7 @@
 """docs/questions.md: twenty questions, each answered by one command that draws the picture that is named."""
 
-import re
 import shlex
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -12,34 +10,13 @@ from PIL import Image
 from quadexp.parts.compose import expand
 from quadexp.plugins.page.sweep_figures import draw, drawings
 from quadexp.report.frame import SweepFrame
-from tests.docs.commands import ROOT, Step, steps
-from tests.docs.test_commands import alike, run
+from tests.docs.questions import PICTURES, answer, questions
+from tests.docs.test_commands import alike
 from tests.report.sweeps import noise, swept
 
-PAGE = ROOT / "docs" / "questions.md"
 QUICK = (1, 2, 19)  # questions whose flights are flown by the default tests; those of the others are slow
+LARGEST = 1_500_000  # bytes of all pictures
 PATHS = (8,)  # whose picture is of the paths that were flown
-
-
-class Question(NamedTuple):
-    number: int
-    title: str
-    command: Step
-    picture: str
-
-
-def questions() -> tuple[list[Step], list[Question]]:
-    """The commands that come first, and the questions."""
-    parts = re.split(
-        r"^## (\d+)\. (.*)$", PAGE.read_text(encoding="utf-8").partition("\n## Your own")[0], flags=re.MULTILINE
-    )
-    every, found = iter(steps(PAGE)), []
-    first = [next(every) for _ in re.findall(r"^    quadexp", parts[0], re.MULTILINE)]
-    for number, title, text in zip(parts[1::3], parts[2::3], parts[3::3], strict=True):
-        pictures = re.findall(r"^Picture: `([^`]+)`$", text, re.MULTILINE)
-        assert len(pictures) == text.count("    quadexp ") == 1, f"{title}: one command, one picture"
-        found.append(Question(int(number), title, next(every), pictures[0]))
-    return first, found
 
 
 @pytest.fixture(scope="module")
@@ -47,18 +24,20 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("questions")
 
 
-def needed(words: list[str], before: list[Step]) -> list[Step]:
-    """The commands before whose output a command reads, those that these read first."""
-    made = {step.words[step.words.index("--out") + 1]: step for step in before}
-    read = [made[name] for word in words if (name := word.partition("=")[2] or word) in made]
-    return [one for step in read for one in [*needed(step.words[: step.words.index("--out")], before), step]]
-
-
 def test_there_are_twenty_and_each_is_one_command():
     _, found = questions()
     assert [one.number for one in found] == list(range(1, 21))
     assert len({shlex.join(one.command.words) for one in found}) == 20
     assert all(one.title.endswith("?") and one.command.program == "quadexp" for one in found)
+
+
+def test_the_picture_of_each_is_stored_and_small():
+    """Made by `python -m tests.docs.questions`."""
+    shown = [PICTURES / one.shown for one in questions()[1]]
+    assert len({*shown}) == 20 and {*PICTURES.iterdir()} == {*shown}
+    for path in shown:
+        assert min(Image.open(path).size) > 200, path
+    assert sum(path.stat().st_size for path in shown) < LARGEST
 
 
 def swept_questions() -> list[int]:
@@ -89,13 +68,8 @@ def test_what_a_question_sweeps_can_be_flown_and_chooses_its_picture(number, tmp
 )
 def test_the_command_prints_what_is_said_and_draws_the_picture(number, folder, monkeypatch):
     monkeypatch.chdir(folder)
-    first, found = questions()
-    question = found[number - 1]
-    before = [*first, *(one.command for one in found[: number - 1])]
-    for step in needed(question.command.words[: question.command.words.index("--out")], before):
-        if not Path(step.words[step.words.index("--out") + 1]).exists():
-            run(step.program, step.words)
-    printed = run("quadexp", question.command.words)
+    question = questions()[1][number - 1]
+    printed = answer(number)
     for line in question.command.said:
         assert any(alike(line, text) for text in printed.splitlines()), (line, printed)
     pixels = np.asarray(Image.open(question.picture).convert("L"))

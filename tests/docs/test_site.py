@@ -3,6 +3,7 @@
 import contextlib
 import importlib.util
 import io
+import pkgutil
 import re
 import subprocess
 import sys
@@ -90,6 +91,13 @@ def test_no_page_stands_twice_in_the_navigation():
     assert len(pages) == len(set(pages)) > 25
 
 
+def test_what_the_reference_describes_is_there():
+    names = re.findall(r"^::: (\S+)$", (ROOT / "docs/site/reference.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(names) > 20
+    for name in names:
+        assert pkgutil.resolve_name(name).__doc__, name
+
+
 @pytest.mark.slow  # compiles two controllers
 def test_the_ten_lines_of_python_on_the_first_page_run(tmp_path, monkeypatch):
     text = (ROOT / "docs/site/landing.md").read_text(encoding="utf-8").partition("## Ten lines of Python")[2]
@@ -113,7 +121,7 @@ def test_every_link_leads_somewhere_and_nothing_is_loaded_from_elsewhere():
         assert "</html>" in (site / page).read_text(encoding="utf-8")
     assert "fit_gp" in (site / "docs/site/reference.html").read_text(encoding="utf-8")
     reference = (site / "docs/site/reference.html").read_text(encoding="utf-8")
-    assert all(f"quadexp.api.{name}" in reference for name in ("tune", "bench"))
+    assert all(f"quadexp.plugins.{name}.api.{name}" in reference for name in ("tune", "bench"))
     for page in site.rglob("*.html"):
         assert not LOADED.findall(page.read_text(encoding="utf-8")), page
 

@@ -6,6 +6,7 @@ paper in a module of a package, with one line of BRINGS each. All of them are re
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -96,7 +97,6 @@ class TestLearnedModel:
             assert code == 0, error
             flown[controller] = json.loads(out)
             assert flown[controller]["residual"]["name"] == "lateral"
-        code, out, _ = run("simulate", "controller=nominal_mpc", *own, "--out", tmp_path / "none.parquet", "--json")
         assert flown["nominal_mpc"]["mean_error"] < 0.6 * json.loads(out)["mean_error"]
         fitted = (
             "fit",
@@ -129,6 +129,38 @@ class TestLearnedModel:
         code, out, error = run(*words)
         assert code == 0 and json.loads(out)["flown"] == 1, error
         assert flight_identity(compose(of_plant, folder)).digest != as_truth
+
+    def test_an_edit_after_its_fit_is_said_wherever_it_is_used(self, lateral, tmp_path):
+        """Of its own text and of a helper's; not one of comments and layout."""
+        folder, _ = lateral
+        lab = tmp_path / "lab"
+        shutil.copytree(folder, lab, ignore=shutil.ignore_patterns("fitted", "half", "__pycache__"))
+        (lab / "factors.py").write_text("FACTOR = 1.0\n")
+        text = MODEL.replace("import numpy as np", "import numpy as np\nfrom factors import FACTOR")
+        (lab / "lateral.py").write_text(text.replace("-theta[0] * z", "-FACTOR * theta[0] * z"))
+        model, own = lab / "fitted", ("--conf", lab)
+        path = tmp_path / "data.parquet"
+        flown = ("collect.duration=20", "collect.flight_duration=6", *QUICK)
+        assert run("collect", *flown, "--out", path)[0] == 0
+        assert run("fit", "lateral", path, *own, "--out", model)[0] == 0
+        hover = ("trajectory=hover", "trajectory.duration=0.3", *QUICK)
+        used = (
+            ("simulate", "controller=nominal_mpc", "controller.residual=lateral", f"model={model}", *hover),
+            ("simulate", "plant=from_model", f"plant.model={model}", "controller=nominal_mpc", *hover),
+            ("evaluate", "controller=nominal_mpc", "controller.residual=lateral", f"model={model}", *hover),
+            ("show", model),
+        )
+
+        def said(words):
+            out = () if words[0] == "show" else ("--force", "--out", tmp_path / words[0])
+            code, text, errors = run(*words, *own, *out)
+            assert code == 0, errors
+            return "fitted with other equations than lateral.py" in text + errors
+
+        (lab / "factors.py").write_text('"""Of drag."""\n\nFACTOR = 1.0  # none\n')
+        assert not any(map(said, used))
+        (lab / "factors.py").write_text("FACTOR = 1.5\n")
+        assert all(map(said, used))
 
     @pytest.mark.parametrize(
         ("change", "said"),

@@ -11,7 +11,6 @@ from quadexp.control.base import Belief, Controller, Measurement, Window
 from quadexp.control.instant import InOperations, Instant, Operation, Told, copy
 from quadexp.control.mpc.dead_time import DeadTimePredictor, MotorLead
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
-from quadexp.control.mpc.settings import MPCSettings
 from quadexp.models.residual import Residual
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.state import N_STATE, POSITION
@@ -33,7 +32,7 @@ class PredictiveController(InOperations):
         self.vehicle, self.settings, self.backend = mpc.vehicle, mpc.settings, mpc.backend
         self.control_period = mpc.settings.control_period
         self.node_times = mpc.settings.dead_time + mpc.node_times  # the first is when a command sent now begins to act
-        self.predictor = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.known_lag else None
+        self.predictor: Any = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.known_lag else None
         self.lead = MotorLead(mpc.limits, mpc.settings, mpc.backend) if mpc.settings.motor_lead else None
         self._prepared: Window | None = None
         self.unprepared = np.ones(1)  # whether the reference is to be looked up
@@ -83,18 +82,6 @@ class PredictiveController(InOperations):
     def believe(self, belief: Belief) -> None:
         """Plan the next step, and all after it until told otherwise, in the world of a belief."""
         self.believed_numbers[:] = np.hstack([*belief])
-
-    def use(self, settings: MPCSettings, predictor: Any, lead: MotorLead | None) -> None:
-        """Go on with other settings, see ModelPredictiveController.use, and what they know of dead time and lag; what
-        is around it must be composed anew.
-
-        predictor: as DeadTimePredictor, for settings.dead_time and settings.motor_lead; None: there is neither.
-        """
-        self.mpc.use(settings)
-        self.settings, self.predictor, self.lead, self._prepared = settings, predictor, lead, None
-        self.node_times = settings.dead_time + self.mpc.node_times
-        if self.believed is not None:
-            self.believed.retime(self.node_times)
 
     def prepare(self, window: Window) -> None:
         """Do what the next step can do before its measurement; `step` with this window, the same object, is faster.

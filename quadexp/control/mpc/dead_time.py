@@ -78,8 +78,9 @@ class MotorLead:
 
         u = T + (T* - T) / (1 - exp(-h / tau)),    h the control period, T the thrust now, T* the planned one
 
-    clipped to limits, (n,) each (N), of thrusts that are delivered, which may change: those of the plan. It inverts
-    T(t + h) of physics.motor, tau being settings.motor_lead (s). Two other
+    clipped to limits, (n,) each (N), of thrusts that are delivered, which may change: those of the plan. gain: the
+    array of the factor, which may change too; 1: a command is what is planned. It inverts T(t + h) of physics.motor,
+    tau being settings.motor_lead (s). Two other
     laws are worse: a command for the mean thrust over the period amplifies noise and errors of the timing, and
     T* + tau T*' with T*' from the plan takes damping away (docs/delays.md has the figures).
     """
@@ -88,18 +89,14 @@ class MotorLead:
         self, limits: tuple[np.ndarray, np.ndarray], settings: MPCSettings, backend: str = "interpreted"
     ) -> None:
         self._function = built(backend, inversion_function, len(limits[0]))
-        self._places, self._gain = named(("low", "high"), limits), np.zeros(1)
+        self._places, self.gain = named(("low", "high"), limits), np.zeros(1)
         self._inverted = {"command": np.zeros_like(limits[0])}
-        self.tune(settings)
-
-    def tune(self, settings: MPCSettings) -> None:
-        """Go on with the lag of other settings; without one, a command is what is planned."""
         period, lag = settings.control_period, settings.motor_lead
-        self._gain[...] = -1 / math.expm1(-period / lag) if lag else 1.0
+        self.gain[...] = -1 / math.expm1(-period / lag) if lag else 1.0
 
     def after(self, planned: np.ndarray, thrust: np.ndarray) -> tuple[list[Operation], np.ndarray]:
         """Inverts for the thrusts that are found there, (n,) (N), planned and now; and the array of the command."""
-        places = self._places | {"gain": self._gain, "planned": planned, "now": thrust}
+        places = self._places | {"gain": self.gain, "planned": planned, "now": thrust}
         return [call(connected(self._function, places, self._inverted))], self._inverted["command"]
 
 

@@ -92,17 +92,21 @@ class ModelPredictiveController:
         self.prepared, self._cold = False, True
         self.set_parameters(residual.theta)
 
+    def weights(self, settings: MPCSettings) -> dict[str, np.ndarray]:
+        """Weights and node times of settings as the step has them, by its arguments' names."""
+        share, vehicle = settings.node_share[:, None], self.vehicle
+        Q_end = np.zeros_like(self.step.arguments["Q_end"])  # thrusts that are states weigh nothing
+        Q_end[:N_STATE] = settings.state_weight()
+        shift = settings.control_period / settings.node_periods  # share of each node between two steps
+        first = {"first_share": shift[:1]} if settings.input_hold == "deviation" else {}
+        weights = {"Q": share * Q_end, "Q_end": settings.terminal_weight * Q_end, "shift": shift, **first}
+        return weights | {"R": share * settings.thrust_weight(vehicle), "dt": settings.node_periods}
+
     def _weigh(self, settings: MPCSettings) -> None:
         """Enter weights and node times."""
         arguments, vehicle = self.step.arguments, self.vehicle
-        share = settings.node_share[:, None]
-        arguments["Q"][:, :N_STATE] = share * settings.state_weight()  # thrusts that are states weigh nothing
-        arguments["Q_end"][:N_STATE] = settings.terminal_weight * settings.state_weight()
-        arguments["R"][...] = share * settings.thrust_weight(vehicle)
-        arguments["dt"][...] = settings.node_periods
-        self._shift = settings.control_period / settings.node_periods  # share of each node between two steps
-        if settings.input_hold == "deviation":
-            arguments["first_share"][...] = self._shift[0]
+        for name, values in self.weights(settings).items():
+            arguments[name][...] = values.reshape(arguments[name].shape)
         # An input error du means a gradient of at least R du, and rounding errors of the gradient grow with R.
         error = STATIONARY * (vehicle.thrust_max - vehicle.thrust_min)
         self._stationary = max(CONVERGED, error * float(arguments["R"].min()))
@@ -124,8 +128,6 @@ class ModelPredictiveController:
             held = np.clip(np.searchsorted(before, now[:-1] + 1e-9) - 1, 0, settings.nodes - 1)
             self._U[...] = self._U[held]
             self._weigh(settings)
-            if not self._cold:
-                self.step.arguments["shift"][...] = self._shift
         self._X[:, ATTITUDE] /= np.maximum(norms(self._X[:, ATTITUDE]), 1e-12)[:, None]
         self.memory.commit()
 
@@ -202,7 +204,6 @@ class ModelPredictiveController:
     def go_on(self) -> None:
         """Take `memory`, which has been restored, for the last solution of a flight that goes on."""
         self._cold, self.prepared = False, False
-        self.step.arguments["shift"][...] = self._shift
 
     def _set_reference(self, state_reference: np.ndarray, input_reference: np.ndarray, finite: bool = False) -> None:
         if state_reference is not self._X_ref:  # else it is in place already
@@ -295,7 +296,7 @@ class ModelPredictiveController:
                 self._X[...], self._U[...] = reached
             else:
                 outcome = found
-        shift[...] = self._shift
+        shift[...] = self.settings.control_period / self.step.arguments["dt"]
         self._cold = False
         return outcome
 

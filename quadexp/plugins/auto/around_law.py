@@ -34,12 +34,13 @@ from quadexp.parts.sensor_sheet import SensorSheet
 from quadexp.physics.expression import dense_function, named_symbols
 from quadexp.physics.state import N_STATE, POSITION, VELOCITY
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.auto.ahead import Ahead, CommandedThrust, sent_commands
+from quadexp.plugins.auto.ahead import Ahead, prediction_numbers, sent_commands, span_weights
 from quadexp.plugins.auto.auto import Auto
 from quadexp.plugins.auto.decide import Decision
 from quadexp.plugins.auto.settings import BANK, PATH
 
 DERIVATIVES = 5  # of the path: position .. snap
+OF_LAW = "ahead_dt", "ahead_weights", "ahead_moves", "ahead", "at", "jump_rows"
 LONGEST = BANK.largest_dead_time + BANK.largest_lag  # s, that a law is told ahead
 
 
@@ -51,44 +52,57 @@ class AutoLaw(Auto):
         commands = sent_commands(core.vehicle, core.control_period)
         sooner = Sooner(core, commands, world)
         super().__init__(sooner, core, sheet, no_residual(core.vehicle), world, commands)
-        self._sooner, self._thrust = sooner, CommandedThrust(commands, self.control_period, core.backend)
         self._spacing = self.control_period / PATH.samples
         longest = LONGEST + max(PATH.looks + 2 * self.control_period, core.node_times[-1])
         self.node_times = self._spacing * np.arange(math.ceil(longest / self._spacing) + 2)
         core.rows = self._rows
-        self._use(Decision())
+        form = len(commands.values), sooner.parts, self._spacing, tuple(core.node_times.tolist()), self.believes
+        self._plans({}, sooner.tuned, law_form, *form)
+        self._sooner = sooner
 
     def _compared(self, told: Told, now: np.ndarray) -> tuple[list[Operation], dict[str, np.ndarray], np.ndarray]:
         """See Auto."""
-        known = {"x": now, "reading": told.force, "thrust": self._thrust.thrust, "mean": self._thrust.mean}
-        return self._thrust.before(), known, told.read
+        thrust, mean = self._delivered.thrusts
+        return self._delivered.before(), {"x": now, "reading": told.force, "thrust": thrust, "mean": mean}, told.read
 
-    def _plan(self, decision: Decision) -> None:
-        """See Auto."""
-        dead_time, lag = decision.dead_time, decision.lag
-        if not self.believes:  # in the world of the model alone, predicting further would mislead it
-            dead_time = lag = 0.0
-        self._thrust.tune(dead_time, lag)
-        first = round((dead_time + lag) / self._spacing)
-        looks = first + round(PATH.looks / self._spacing)
-        self._sooner.tune(dead_time, lag, looks, looks * self._spacing)
-        self._rows[...] = first + np.round(self._core.node_times / self._spacing)
+    def _retuned(self, when: np.ndarray | None = None) -> list[Operation]:
+        """See Auto: what was told of the path is of another time."""
+        return [*super()._retuned(when), copy(self._sooner.memory.of_next["goes_on"], np.zeros(1), when)]
+
+
+def law_form(
+    acts: Decision, period: float, count: int, parts: int, spacing: float, nodes: tuple[float, ...], believes: bool
+) -> tuple[Any, ...]:
+    """See plan_function. count: of commands, parts: of the prediction. spacing: of the reference, which is looked at in
+    these nodes (s). believes: whether it may be told a force; in the world of the model alone, predicting further
+    would mislead it."""
+    dead_time, lag = believes * acts.dead_time, believes * acts.lag
+    ahead = dead_time + lag
+    first = ca.floor(ahead / spacing + 0.5)
+    looks = first + round(PATH.looks / spacing)
+    numbers = prediction_numbers(span_weights(count, period), parts, 0, ahead, dead_time, lag)
+    rest = dict(zip(OF_LAW, [*numbers, ahead, looks * spacing, looks + PATH.samples * ca.DM(range(3))], strict=True))
+    return {}, (dead_time, lag), first + ca.DM(np.round(np.array(nodes) / spacing)), rest
 
 
 class Sooner(WrappedController):
     """A law that is told the state and the reference of the time at which its command acts.
 
-    commands: that were sent. world: what is believed of it, for the prediction, written here.
+    commands: that were sent. world: what is believed of it, for the prediction, written here. tuned: arrays of what
+    commands wait and lag, see law_form: of the prediction; how far ahead it is told, and from when on, `at` (s), a jump
+    is seen, and in which rows of the reference.
     """
 
     def __init__(self, core: Any, commands: SentCommands, world: dict[str, np.ndarray]) -> None:
         super().__init__(core)
         residual = no_residual(core.vehicle)
         self._ahead = Ahead(core.vehicle, residual, core.backend, commands, world, LONGEST)
-        self._rows = np.zeros(3)  # of the reference
+        self._rows, self.parts = np.zeros(3), self._ahead.parts  # of the reference
         self._later = built(core.backend, later, core.vehicle, core.control_period)
         self.memory, self._believed = Memory("Sooner", sizes_of([self._later])), Memory("Believed", worked=world)
         self._tuned = {"ahead": np.zeros(1), "at": np.zeros(1)}
+        told = [*self._ahead.tuned, *self._tuned.values(), self._rows]
+        self.tuned = dict(zip(OF_LAW, told, strict=True))
         self._world = BufferedFunction(built(core.backend, world_of, core.vehicle), into=world)
 
     def reset(self, x: np.ndarray, window: Window) -> None:
@@ -107,13 +121,6 @@ class Sooner(WrappedController):
     def believe(self, belief: Any) -> None:
         """See control.base.Belief."""
         self.believed_numbers[:] = np.hstack([*belief])
-
-    def tune(self, dead_time: float, lag: float, row: int, at: float) -> None:
-        """What commands wait and lag from now on (s). row: of the reference, `at` (s), from which a jump is seen."""
-        self._ahead.tune(0.0, dead_time + lag, dead_time, lag)
-        self._tuned["ahead"][0], self._tuned["at"][0] = dead_time + lag, at
-        self.memory.of_now["goes_on"][0] = self.memory.of_next["goes_on"][0] = 0.0
-        self._rows[...] = row + PATH.samples * np.arange(3)
 
     def instant(self, told: Told, state: np.ndarray) -> Instant:
         """See control.instant."""

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
+from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.memory import Memory
+from quadexp.compile.symbolic import ca
 from quadexp.control.base import Window
-from quadexp.control.instant import Instant, Operation, Told, copy
+from quadexp.control.built import built
+from quadexp.control.delivered import INSTANT
+from quadexp.control.instant import Instant, Operation, Told, call, copy
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.dead_time import MotorLead
 from quadexp.control.wrapped import parameters_of
 from quadexp.parts.sensor_sheet import SensorSheet, later_speeds
-from quadexp.parts.settings import changed
-from quadexp.physics.state import N_STATE
-from quadexp.plugins.auto.ahead import CommandedThrust, CommandsAhead, sent_commands
+from quadexp.physics.expression import limited, named_function, named_symbols, split
+from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.plugins.auto.ahead import CommandsAhead, prediction_numbers, sent_commands, span_weights
 from quadexp.plugins.auto.auto import Auto
 from quadexp.plugins.auto.decide import Decision, grids
 from quadexp.plugins.auto.disturbance import speeds_tell
@@ -35,16 +40,28 @@ class AutoMPC(Auto):
         self._now = {"push": mpc.disturbance, "wind": numbers[6:9], "scale": numbers[9:10]}
         commands = sent_commands(core.vehicle, core.control_period)
         super().__init__(core, core, sheet, mpc.residual, {"theta": parameters_of(core), **self._last}, commands)
-        self._thrust = CommandedThrust(commands, self.control_period, core.backend)
         self._world, self._grids = core.believed, grids(core.settings)
-        self._ahead, self._lead = CommandsAhead(mpc), MotorLead(mpc.limits, core.settings, core.backend)
+        core.predictor, core.lead = CommandsAhead(mpc), MotorLead(mpc.limits, core.settings, core.backend)
         self._spacing = self.control_period / DECISION.samples
         longest = DECISION.largest_wait + max(settings.horizon for settings in self._grids)
         self.node_times = self._spacing * np.arange(math.ceil(longest / self._spacing) + 2)
         self._world.rows = self._rows
+        of_grids = [{**mpc.weights(settings), "times": settings.reference_times} for settings in self._grids]
+        nodes = [settings.node_times for settings in self._grids]
+        sizes = tuple((name, value.size) for name, value in of_grids[0].items())
+        self._table = {"table": np.stack([np.hstack([*map(np.ravel, each.values())]) for each in of_grids])}
+        ahead, sent = core.predictor, len(core.predictor.sent.values)
+        tuned = dict(zip(OF_MPC, [*ahead.ahead.tuned, ahead.delivered.tuned, core.lead.gain], strict=True))
+        tuned |= self._world.times | {name: mpc.step.arguments[name] for name in mpc.weights(core.settings)}
+        self._plans(self._table, tuned, mpc_form, self._spacing, sent, ahead.ahead.parts, sizes)
+        function = built(core.backend, resampled, *mpc._X.T.shape, mpc._U.shape[1])
+        before, worked = self._memory.of_now["decision"][4:5], mpc.memory.of_next  # X, U, guess
+        places = {"X": mpc._X, "U": mpc._U, "grids": np.array(nodes), "before": before}
+        self._resample = BufferedFunction(function, places | {"after": self._memory.of_next["decision"][4:5]})
+        moved = self._resample.results
+        self._worked = [(to, of.reshape(-1)) for to, of in zip(worked.values(), moved.values(), strict=True)]
         whole = round(later_speeds(sheet) / self.control_period) * self.control_period  # thrusts jump in between
         self._earlier = Earlier(N_STATE + 4, whole, self.control_period, core.backend)
-        self._use(Decision())
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
@@ -63,8 +80,9 @@ class AutoMPC(Auto):
     def _compared(self, told: Told, now: np.ndarray) -> tuple[list[Operation], dict[str, np.ndarray], np.ndarray]:
         """See Auto. Rotor speeds are compared with the state and reading of their time."""
         if not self._by_speeds:
-            known = {"x": now, "reading": told.force, "thrust": self._thrust.thrust, "mean": self._thrust.mean}
-            return self._thrust.before(), known, told.read
+            thrust, mean = self._delivered.thrusts
+            known = {"x": now, "reading": told.force, "thrust": thrust, "mean": mean}
+            return self._delivered.before(), known, told.read
         seen, earlier, thrust = np.zeros(N_STATE + 4), self._earlier, np.zeros(self.vehicle.n_rotors)
         operations = [copy(seen[:N_STATE], now), copy(seen[N_STATE:-1], told.force), copy(seen[-1:], told.read)]
         coefficient = self.vehicle.thrust_coefficient or 0.0
@@ -75,17 +93,63 @@ class AutoMPC(Auto):
         then = {"x": earlier.then[:N_STATE], "reading": earlier.then[N_STATE:-1], "thrust": thrust, "mean": thrust}
         return operations, then, read
 
-    def _plan(self, decision: Decision) -> None:
-        """See Auto: the dead time in samples of the reference; what is left of it counts as lag, which is inverted, up
-        to the gain 1 / (1 - exp(-T / lag)) = largest_lead on a change of thrust. More would amplify noise."""
-        self._thrust.tune(decision.dead_time, decision.lag)
-        invertible = -self.control_period / math.log(1 - 1 / DECISION.largest_lead)
-        waits = decision.dead_time + max(decision.lag - invertible, 0.0)
-        waits = round(min(waits, DECISION.largest_wait) / self._spacing) * self._spacing
-        lag = decision.total - waits
-        lag = lag if lag > DECISION.least_lag else 0.0
-        settings = changed(self._grids[decision.grid], dead_time=waits, motor_lead=lag)
-        self._ahead.tune(waits, lag, self._world.numbers[9] * self._commands.values)
-        self._lead.tune(settings)
-        self._core.use(settings, self._ahead, self._lead)
-        self._rows[...] = np.round(self._core.node_times / self._spacing)
+    def _retuned(self, when: np.ndarray | None = None) -> list[Operation]:
+        """See Auto. Where the grid is another one the last solution is moved to its nodes."""
+        tune = super()._retuned(when)
+        if when is None:
+            return tune
+        regrids = self._decide.results["regrids"]
+        return [*tune, call(self._resample, regrids), *(copy(to, of, regrids) for to, of in self._worked)]
+
+
+OF_MPC = "ahead_dt", "ahead_weights", "ahead_moves", "delivered_ahead", "gain"
+
+
+def mpc_form(
+    acts: Decision, period: float, spacing: float, sent: int, parts: int, sizes: tuple[tuple[str, int], ...]
+) -> tuple[Any, ...]:
+    """See plan_function: the dead time in samples of the reference, `spacing` apart (s); what is left of it counts as
+    lag, which is inverted, up to the gain 1 / (1 - exp(-T / lag)) = largest_lead on a change of thrust. More would
+    amplify noise. table: of each grid the numbers of these sizes. sent, parts: of what predicts over the wait."""
+    s, invertible = DECISION, -period / math.log(1 - 1 / DECISION.largest_lead)
+    waits = acts.dead_time + ca.fmax(acts.lag - invertible, 0)
+    waits = spacing * ca.floor(ca.fmin(waits, s.largest_wait) / spacing + 0.5)
+    lag = acts.total - waits
+    lag = ca.if_else(lag > s.least_lag, lag, 0)
+    rest = prediction_numbers(weights := span_weights(sent, period), parts, 0, waits, waits, lag)
+    rest += [weights(ca.vertcat(waits, waits, waits, lag)), 1 / (1 - ca.exp(-period / ca.fmax(lag, INSTANT)))]
+    names, counts = zip(*sizes, strict=True)
+    table = ca.MX.sym("table", sum(counts), 1 + len(s.grids))
+    chosen = table[ca.DM(range(sum(counts))) + sum(counts) * acts.grid]
+    numbers = dict(zip(names, split(chosen, counts), strict=True))
+    numbers["times"] = waits + numbers["times"]
+    rows, results = ca.floor(numbers["times"] / spacing + 0.5), dict(zip(OF_MPC, rest, strict=True)) | numbers
+    results["since"] = numbers["times"][:: (rows.numel() - 1) // numbers["dt"].numel()]
+    return {"table": table}, (acts.dead_time, acts.lag), rows, results
+
+
+def resampled(width: int, rows: int, inputs: int) -> ca.Function:
+    """X (width, N + 1) and U (n, N) of the nodes of one grid at those of another: states between them, of unit
+    quaternion, beyond the last one its own; each input is the one that was held at its time. grids: times of the nodes
+    (s), a column each. guess: of the active set, zeros."""
+    shapes = {"X": (width, rows), "U": (inputs, rows - 1), "grids": (rows, 1 + len(DECISION.grids))}
+    a = named_symbols(ca.MX, shapes | {"before": 1, "after": 1})
+    before, after = (a["grids"][ca.DM(range(rows)) + rows * a[name]] for name in ("before", "after"))
+
+    def place(times: Any, last: int) -> Any:
+        passed = ca.repmat(before.T, times.numel(), 1) < ca.repmat(times, 1, rows)
+        return limited(ca.sum2(passed) - 1, 0, last)
+
+    def columns(values: Any, at: Any) -> Any:
+        height = values.size1()
+        elements = ca.repmat(ca.DM(range(height)), 1, at.numel()) + height * ca.repmat(at.T, height, 1)
+        return ca.reshape(values[ca.vec(elements)], height, at.numel())
+
+    at = place(after, rows - 2)
+    begins, ends = before[at], before[at + 1]
+    share = ca.repmat(limited((after - begins) / (ends - begins), 0, 1).T, width, 1)
+    X = (1 - share) * columns(a["X"], at) + share * columns(a["X"], at + 1)
+    q = X[ATTITUDE, :]
+    X = ca.vertcat(X[: ATTITUDE.start, :], q / ca.repmat(ca.sqrt(ca.sum1(q**2)), 4, 1), X[ATTITUDE.stop :, :])
+    U = columns(a["U"], place(after[:-1] + INSTANT, rows - 2))
+    return named_function("resampled", a, {"X_new": X, "U_new": U, "guess": ca.DM.zeros(inputs * (rows - 1))})

@@ -1,75 +1,100 @@
-"""From posterior and disturbance to what is acted on: one pure function.
+"""From posterior and disturbance to what is acted on: one pure function of declared memory, called at every instant.
 
 age               posterior mean, where the Bayes factor against none is very strong
 dead time, lag    posterior mean, where it is positive
 stiffness         by the timing uncertainty  sigma = sd(D) + |D - what is acted on| + sd(a) / 2, the noise of the
                   estimated position, how commands alternate, and whether rotors saturate; one grid at a time towards
                   the stiffer. Where age or total may be any larger one than those of the grid it is the softest.
+
+A look at the evidence begins a search for the posterior where one is due: the coarse grid in the next instant, finer
+ones in those after it, each where the last one ended, until one's mode is not on its edge. Where rates turn out to lie
+between the pose and now, one more number fits what lies between the points of a coarse grid: there is a second search
+without them, and the likelier of both counts.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from quadexp.compile.memory import NEXT, NOW
+from quadexp.compile.symbolic import ca
+from quadexp.control.delivered import INSTANT
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.plugins.auto.posterior import Posterior
-from quadexp.plugins.auto.settings import BANK, DECISION
+from quadexp.physics.expression import Expression, dense_function, limited, named_symbols, split
+from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.auto.posterior import BETWEEN, FOUND, NEVER, STEPS
+from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL
+
+UNKNOWN = -1.0  # of what a decision has crossed: neither
+IDLE, FIRST, SECOND = range(3)  # searches for a posterior, the second without rates between pose and now
+BELIEFS = 10  # age, delay, lag, their lower and their upper ends; by how much rates are newer; behind them what acts
+OF_SEARCH = sum(FOUND.values())
+KEPT = {
+    "phase": 1, "passes": 1, "wait": 1, "saturates": 1, "next": 1, "crossed": 4, "known": 1, "searches": 1,
+    "refines": 1, "against": 3, "candidate": OF_SEARCH, "found": OF_SEARCH, "odds": 2, "at_end": 3, "decision": 6,
+    "unsure": 1, "apart": 1, "beliefs": BELIEFS + 4,
+}  # fmt: skip
 
 
 class Decision(NamedTuple):
     """What is acted on. age, dead_time, lag, timing (s): timing is the uncertainty of the commands' delay. newer: by
     how much the rates are newer than the pose (s). grid: of DECISION.grids, from 1 on; 0: the controller's own."""
 
-    age: float = 0.0
-    dead_time: float = 0.0
-    lag: float = 0.0
-    newer: float = 0.0
-    grid: int = 0
-    timing: float = 0.03
+    age: Expression
+    dead_time: Expression
+    lag: Expression
+    newer: Expression
+    grid: Expression
+    timing: Expression
 
     @property
-    def total(self) -> float:
+    def total(self) -> Expression:
         """Dead time and lag (s)."""
         return self.dead_time + self.lag
+
+
+NOTHING = Decision(0.0, 0.0, 0.0, 0.0, 0.0, DISTURBANCE.unknown_timing)  # before there is evidence
 
 
 class Senses(NamedTuple):
     """What is measured beside the delays. position: noise of the estimated one (m). saturated, saturates: shares of
     commands at a limit, lately and over longer. acts: whether a disturbance is believed."""
 
-    position: float = 0.0
-    saturated: float = 0.0
-    saturates: float = 0.0
-    acts: bool = False
+    position: Expression = 0.0
+    saturated: Expression = 0.0
+    saturates: Expression = 0.0
+    acts: Expression = 0.0
 
 
-def decide(found: Posterior | None, last: Decision, senses: Senses) -> Decision:
-    """What to act on from now on; found: None before there is evidence."""
+def decided(known: Expression, found: Mapping[str, Expression], last: Decision, senses: Senses) -> Decision:
+    """What to act on from now on. found: mean and deviation, (3,), newer, odds, (2,), at_end, (3,), of a posterior;
+    known: whether there is one."""
     s, stiffest = DECISION, len(DECISION.grids)
-    if found is None:  # the softest grid would let the error stand for a second
-        return last._replace(grid=max(last.grid, int(senses.acts)))
-    age, total, lag = found.mean.tolist()
-    needed = s.age_odds * (1 + s.between / max(age, s.least_age))
-    age = age if found.age_odds > needed and age > s.least_age else 0.0
-    acted = total if found.total_odds > s.total_odds else 0.0
-    lag = min(lag, acted)
-    newer = min(found.newer, age)
-    if abs(age - last.age) < s.least_change and abs(acted - last.total) < s.least_change:
-        age, acted, lag, newer = last.age, last.total, last.lag, last.newer
-    timing = float(found.deviation[1] + abs(total - acted) + found.deviation[0] / 2)
+    age, total, lag = ca.vertsplit(found["mean"])
+    of_age, of_total = ca.vertsplit(found["odds"])
+    needed = s.age_odds * (1 + s.between / ca.fmax(age, s.least_age))
+    age = ca.if_else(ca.logic_and(of_age > needed, age > s.least_age), age, 0)
+    acted = ca.if_else(of_total > s.total_odds, total, 0)
+    lag = ca.fmin(lag, acted)
+    wanted = ca.vertcat(age, acted, lag, ca.fmin(found["newer"], age))
+    before = ca.vertcat(last.age, last.total, last.lag, last.newer)
+    small = ca.mmax(ca.fabs(wanted - before)[:2]) < s.least_change
+    age, acted, lag, newer = ca.vertsplit(ca.if_else(small, before, wanted))
+    timing = found["deviation"][1] + ca.fabs(total - acted) + found["deviation"][0] / 2
     grid = sum(timing + s.inexact * (age + acted) < one.timing for one in s.grids)
-    if acted >= s.stiff_total or senses.position > s.large_noise or senses.saturates > s.saturates:
-        grid = min(grid, stiffest - 1)
-    grid = min(grid, last.grid + 1)
-    if senses.saturated > s.saturated:
-        grid = min(grid, s.middle)
-    if found.at_end:
-        grid = 0
-    return Decision(age, acted - lag, lag, newer, grid, timing)
+    noisy = ca.logic_or(senses.position > s.large_noise, senses.saturates > s.saturates)
+    grid = ca.fmin(grid, stiffest - ca.logic_or(acted >= s.stiff_total, noisy))
+    grid = ca.fmin(grid, last.grid + 1)
+    grid = ca.if_else(senses.saturated > s.saturated, ca.fmin(grid, s.middle), grid)
+    grid = ca.if_else(ca.mmax(found["at_end"][:2]) > 0, 0, grid)
+    # without evidence the softest grid would let the error stand for a second
+    unknown = ca.vertcat(*last[:4], ca.fmax(last.grid, senses.acts), last.timing)
+    return Decision(*ca.vertsplit(ca.if_else(known, ca.vertcat(age, acted - lag, lag, newer, grid, timing), unknown)))
 
 
 def known(age: float, dead_time: float, lag: float) -> Decision:
@@ -79,7 +104,93 @@ def known(age: float, dead_time: float, lag: float) -> Decision:
     if any(delay > most for delay, most in zip(delays, largest, strict=True)):
         grid = 0
     age, dead_time, lag = map(min, delays, largest)
-    return Decision(age, dead_time, lag, grid=grid, timing=0.0)
+    return Decision(age, dead_time, lag, 0.0, grid, 0.0)
+
+
+def start_of(begin: Decision) -> dict[str, Any]:
+    """What is remembered of decisions as a flight begins, but for zeros."""
+    beliefs = [*[0.0] * 3, *[np.nan] * 6, *[0.0] * 5]
+    return {"next": DECISION.begins, "crossed": np.full(4, UNKNOWN), "decision": np.array(begin), "beliefs": beliefs}
+
+
+def decision_function(
+    vehicle: Vehicle, period: float, bank_period: float, commands: int, apart: float, *, unsaid: bool
+) -> ca.Function:
+    """Memory after an instant, see KEPT, and whether a decision is another one than the last, or its grid is.
+
+    count, weights, noise: of the bank. commands: the last ones (N). acts: of the disturbance. rates, odds, at_end: of
+    the coarse grid; centre, mode and FOUND of the finer one. apart: by which age and delays cannot be told apart (s).
+    unsaid: whether nobody says how old rates are beside the pose.
+    """
+    s, searched = DECISION, {"rates": 1, "odds": 2, "at_end": 3, "centre": 4, "mode": 4} | FOUND
+    shapes = {"count": 1, "weights": 3, "noise": 3, "commands": commands, "acts": 3, **searched}
+    a = named_symbols(ca.SX, shapes | {NOW + name: size for name, size in KEPT.items()})
+    kept = {name: a[NOW + name] for name in KEPT}
+    phase, last = kept["phase"], Decision(*ca.vertsplit(kept["decision"]))
+
+    # a look at what is measured
+    elapsed = ca.fmax(a["count"] * bank_period - BANK.settling, 0)
+    looks, soon = kept["wait"] <= 0, elapsed < s.early
+    low, high = vehicle.thrust_min, vehicle.thrust_max
+    off = ca.fabs(a["commands"] - (low + high) / 2)
+    saturated = ca.sum1(off > s.at_limit * (high - low) / 2) / commands
+    share = looks * ca.if_else(soon, s.soonest, s.checks) / s.corners_memory
+    saturates = kept["saturates"] + share * (saturated - kept["saturates"])
+    position = ca.sqrt(ca.fmax(a["noise"][1], 0)) * (elapsed > BANK.measured_after)
+    senses = Senses(position, saturated, saturates, ca.mmax(a["acts"]) > 0)
+    crossed = ca.vertcat(position > s.large_noise, saturated > s.saturated, saturates > s.saturates, senses.acts)
+    often, seldom = (max(1, round(each / period)) for each in (s.soonest, s.checks))
+    due = ca.logic_and(looks * (phase == IDLE), ca.logic_and(elapsed >= kept["next"], a["weights"][1] > 0))
+
+    # the search goes on, or ends
+    refined, passes = kept["refines"], kept["passes"] + kept["refines"]
+    moved = ca.mmax(ca.fabs(a["mode"] - a["centre"]) >= STEPS - INSTANT)
+    settled = refined * ca.logic_or(ca.logic_not(moved), passes >= BANK.passes)
+    again = settled * (phase == FIRST) * (a["rates"] == BETWEEN)
+    done = settled * ca.logic_not(again)
+    here = ca.vertcat(*(a[name] for name in FOUND))
+    other = ca.logic_and(phase == SECOND, kept["candidate"][-1] > here[-1])
+    found = ca.if_else(done, ca.if_else(other, kept["candidate"], here), kept["found"])
+    first = refined * (phase == FIRST)
+    odds, at_end = (ca.if_else(first, a[name], kept[name]) for name in ("odds", "at_end"))
+    of = dict(zip(FOUND, split(found, FOUND.values()), strict=True)) | {"odds": odds, "at_end": at_end}
+    searches = ca.logic_or(due, again)
+    now = ca.if_else(due, FIRST, ca.if_else(again, SECOND, ca.if_else(done, IDLE, phase)))
+
+    # the decision
+    is_known = ca.fmax(kept["known"], done)
+    decides = ca.logic_or(done, looks * (phase == IDLE) * (ca.mmax(ca.fabs(crossed - kept["crossed"])) > 0))
+    decision = ca.vertcat(*decided(is_known, of, last, senses))
+    decision = ca.if_else(decides, decision, kept["decision"])
+    differs = ca.fabs(decision - kept["decision"]) > 0
+    acts = Decision(*ca.vertsplit(decision))
+    crossed = ca.if_else(ca.mmax(differs) > 0, UNKNOWN, crossed)  # the next one goes on from this one
+
+    # what is said of it: beside the posterior's quantiles what the model of all hypotheses leaves out
+    age, _, lag = ca.vertsplit(of["mean"])
+    untold = ca.hypot(apart, ca.hypot(unsaid * age / INTERVAL.band, INTERVAL.unlike * lag))
+    unsure = ca.if_else(done, untold, kept["unsure"])
+    late = ca.fabs(age - acts.age) * is_known  # age that does not act
+    beside = INTERVAL.band * ca.hypot(INTERVAL.inexact * of["mean"], unsure)
+    lower = ca.fmax(of["mean"] - ca.hypot(of["mean"] - of["lower"], beside), 0)
+    upper = of["mean"] + ca.hypot(of["upper"] - of["mean"], beside)
+    beliefs = ca.vertcat(of["mean"], lower, ca.if_else(at_end, math.inf, upper), of["newer"])
+    beliefs = ca.if_else(done, beliefs, kept["beliefs"][:BELIEFS])
+    left = {
+        "phase": now, "passes": ca.if_else(searches, 0, passes),
+        "wait": ca.if_else(looks, ca.if_else(soon, often, seldom), kept["wait"]) - 1, "saturates": saturates,
+        "next": ca.if_else(due, elapsed + limited(s.pace * elapsed, s.soonest, s.latest), kept["next"]),
+        "crossed": ca.if_else(decides, crossed, kept["crossed"]), "known": is_known,
+        "searches": searches, "refines": (now > IDLE) * ca.logic_not(searches),
+        "against": ca.vertcat(*BANK.rates_odds[:2], ca.if_else(now == SECOND, NEVER, BANK.rates_odds[2])),
+        "candidate": ca.if_else(again, here, kept["candidate"]), "found": found, "odds": odds, "at_end": at_end,
+        "decision": decision, "unsure": unsure,
+        "apart": ca.hypot(unsure, ca.hypot(late, s.inexact * (acts.age + acts.total))),
+        "beliefs": ca.vertcat(beliefs, decision[:3], acts.grid),
+    }  # fmt: skip
+    results = {NEXT + name: left[name] for name in KEPT}
+    results |= {"retunes": ca.mmax(differs[:5]) > 0, "regrids": differs[4]}
+    return dense_function("decision", a, results)
 
 
 def grids(settings: MPCSettings) -> list[MPCSettings]:

@@ -95,19 +95,18 @@ class DisturbanceFilter:
     """Its operations stand `before` the controller's; `reset` begins a flight.
 
     belief: (11,), see control.base.Belief. deviations: see DEVIATIONS. acts: (3,), whether a disturbance across the
-    thrust, one along it, and a torque are believed. Written by who knows them: timing, uncertainty of the commands'
-    delay, and apart, by which age and delays cannot be told apart (s), (1,); lateral, noise: variances that a bank has
-    measured.
+    thrust, one along it, and a torque are believed. told: arrays of the uncertainty of the commands' delay, timing, by
+    which age and delays cannot be told apart, `apart` (s), and of variances that a bank has measured, lateral, noise.
     """
 
     def __init__(
-        self, vehicle: Vehicle, residual: Residual, theta: np.ndarray, period: float, backend: str, known: Sources
-    ) -> None:
+        self, vehicle: Vehicle, residual: Residual, theta: np.ndarray, period: float, backend: str, known: Sources,
+        told: dict[str, np.ndarray],
+    ) -> None:  # fmt: skip
         air = (residual.unscaled or residual).form(backend == "compiled")
         self._function = built(backend, disturbance_function, vehicle, air, period, known)
         self.memory = Memory("Disturbance", sizes_of([self._function]))
-        self.timing, self.apart, self.lateral, self.noise = np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(3)
-        self._places = {"timing": self.timing, "apart": self.apart, "lateral": self.lateral, "noise": self.noise}
+        self._places = told.copy()
         self._places["theta"] = theta.reshape(-1)[: self._function.numel_in("theta")]
         self._initial = np.square(known.initial)
         self.belief, self.deviations = np.zeros(N_BELIEF), np.zeros(len(DEVIATIONS))
@@ -115,8 +114,6 @@ class DisturbanceFilter:
 
     def reset(self, x: np.ndarray) -> None:
         """Begin a flight in the state x, (13,): nothing is believed."""
-        self.timing[0] = DISTURBANCE.unknown_timing
-        self.lateral[...], self.noise[...], self.apart[...] = 0.0, 0.0, 0.0
         self.belief[...], self.deviations[...] = np.hstack([*no_belief()]), np.nan
         covariance = np.tile(np.diag(self._initial).ravel(), WALKS)
         self.memory.begin({"covariance": covariance, "rates": np.tile(x[RATE], TORQUES)})

@@ -16,24 +16,32 @@ hypotheses, then a finer one around a mode, which moves while its mode is on its
 
 from __future__ import annotations
 
+import ctypes
+from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.compile.backend import BufferedFunction
+from quadexp.compile.backend import BufferedFunction, CFunction, linked_library
+from quadexp.compile.memory import Memory
 from quadexp.compile.symbolic import ca
 from quadexp.control.built import built
 from quadexp.control.delivered import INSTANT
+from quadexp.control.instant import Operation, call, copy
 from quadexp.physics.expression import dense_function, limited, named_function, named_symbols
 from quadexp.plugins.auto.bank import AXES, GYROS, Bank, Layout, first_order_gain
 from quadexp.plugins.auto.responses import command_weights, reading_weights, tails
 from quadexp.plugins.auto.settings import BANK
 from quadexp.plugins.remedies.observers.filters import inverse
 
+SOURCE = Path(__file__).with_name("posterior.c")
 LATE, PROMPT, BETWEEN = range(3)
 STEPS = np.array([BANK.age_step, BANK.total_step, BANK.lag_step, BANK.age_step])  # of a, D, l, r (s)
 LARGEST = np.array([BANK.largest_age, BANK.largest_dead_time + BANK.largest_lag, BANK.largest_lag, BANK.largest_age])
 NEVER = 1e30  # a log odds, or a sum of squares
+# Of age, total and lag (s): mean, deviation, 2.5 and 97.5 % quantiles; by how much rates are newer; log posterior
+FOUND = {"mean": 3, "deviation": 3, "lower": 3, "upper": 3, "newer": 1, "best": 1}
 
 
 class Told(NamedTuple):
@@ -44,66 +52,84 @@ class Told(NamedTuple):
     turn_noise: tuple[float, float]
 
 
-class Posterior(NamedTuple):
-    """Of age, total and lag (s): mean, deviation, lower and upper, the 2.5 and 97.5 % quantiles; upper is infinite
-    where the mode is the last of the grid. age_odds, total_odds: log Bayes factors against none. newer: by how much the
-    told rates are newer than the pose (s)."""
+class Search:
+    """Operations that look for the posterior of what a bank has seen so far: the coarse grid where flags["searches"],
+    and a finer one around its mode, or that of the last finer one, where flags["refines"]. against: odds against rates.
 
-    mean: np.ndarray
-    deviation: np.ndarray
-    lower: np.ndarray
-    upper: np.ndarray
-    age_odds: float
-    total_odds: float
-    newer: float
+    memory: what they leave, by name, which the next instants read.
+    """
 
-    @property
-    def at_end(self) -> bool:
-        """Whether age or total may be any larger one."""
-        return bool(np.isinf(self.upper[:2]).any())
+    def __init__(self, bank: Bank, backend: str, flags: dict[str, np.ndarray], against: np.ndarray) -> None:
+        told, self._flags = Told(bank.period, bank.spans, bank.turn_noise), flags
+        known = {name: bank.part(name) for name in ("weights", "lateral")}
+        known |= {name: side_by_side(moments) for name, moments in bank.moments.items()}
+        self.coarse = grid_posterior(backend, told, 1, known | {"against": against})
+        self.left = dict(self.coarse.results)
+        handed = {"centre": self.left["mode"], "models": self.left["chosen"], "against": self.left["allowed"]}
+        self.fine = grid_posterior(backend, told, BANK.fine, known | handed)
+        self.found = {name: self.fine.results[name] for name in ("mode", *FOUND)}
+        found = {f"fine_{name}": values for name, values in self.found.items()}
+        self.memory = Memory("Search", worked=self.left | found)
+
+    def operations(self) -> list[Operation]:
+        """What is to be done at an instant."""
+        return [call(self.coarse, self._flags["searches"]), call(self.fine, self._flags["refines"])]
+
+    def moved(self) -> Operation:
+        """The finer grid goes on from its own mode."""
+        return copy(self.left["mode"], self.found["mode"], self._flags["refines"])
 
 
-class Evidence:
-    """The posterior of what a bank has seen so far, each time that it is called."""
+def grid_posterior(backend: str, told: Told, fine: int, shared: dict[str, np.ndarray]) -> BufferedFunction:
+    """See grid_function: in C, or as equations in the virtual machine of CasADi."""
+    if backend == "compiled":
+        return Kernel(told, fine, shared)
+    return BufferedFunction(built(backend, grid_function, told, fine), shared)
 
-    def __init__(self, bank: Bank, backend: str) -> None:
-        told = Told(bank.period, bank.spans, bank.turn_noise)
-        self._moments, known = bank.moments, {name: bank.part(name) for name in ("weights", "lateral")}
-        beside = {name: side_by_side(bank.moments[name]) for name in ("thrust", "attitude")}
-        models = {name: side_by_side(bank.moments[name]) for name in ("gyro", "velocity")}
-        self._coarse = BufferedFunction(built(backend, grid_function, told, 1), known | beside | models)
-        self._fine = BufferedFunction(built(backend, grid_function, told, BANK.fine), known | beside)
-        self._coarse.arguments["noise"][...] = BANK.velocity_models
 
-    def __call__(self) -> Posterior:
-        given, found = self._coarse.arguments, self._coarse.results
-        given["against"][...] = BANK.rates_odds
-        self._coarse()
-        at_end, (age_odds, total_odds) = found["at_end"] > 0, found["odds"].tolist()
-        best = self._refined()
-        if found["rates"] == BETWEEN:  # one more number fits what lies between the points of a coarse grid
-            given["against"][BETWEEN] = NEVER
-            self._coarse()
-            other = self._refined()
-            best = other if other["best"] > best["best"] else best
-        mean, deviation, lower, upper = (best[name] for name in ("mean", "deviation", "lower", "upper"))
-        upper[at_end] = np.inf
-        return Posterior(mean, deviation, lower, upper, age_odds, total_odds, best["newer"].item())
+class Kernel(BufferedFunction):
+    """A posterior of `grid_function` in C, posterior.c, on the same arrays."""
 
-    def _refined(self) -> dict[str, np.ndarray]:
-        """What the finer grid leaves around the mode of the coarse one, once its own mode is not on its edge."""
-        given, left, found = self._fine.arguments, self._fine.results, self._coarse.results
-        gyro, velocity, rates = (int(found[name].item()) for name in ("gyro_model", "velocity_model", "rates"))
-        given["gyro"][...], given["velocity"][...] = self._moments["gyro"][gyro], self._moments["velocity"][velocity]
-        given["noise"][...], given["against"][...] = BANK.velocity_models[velocity], NEVER
-        given["against"][rates] = BANK.rates_odds[rates]
-        left["mode"][...] = found["mode"]
-        for _ in range(BANK.passes):
-            given["centre"][...] = left["mode"]
-            self._fine()
-            if (np.abs(left["mode"] - given["centre"]) < STEPS - INSTANT).all():
-                break
-        return {name: values.copy() for name, values in left.items()}
+    def __init__(self, told: Told, fine: int, shared: dict[str, np.ndarray]) -> None:
+        super().__init__(built("interpreted", grid_function, told, fine), shared)
+        code = getattr(ctypes.PyDLL(str(kernel_library(told))), self.function.name())
+        places = [
+            np.array([array.ctypes.data for array in arrays.values()], np.uintp)
+            for arrays in (self.arguments, self.results)
+        ]
+        self.for_c = CFunction(code, *places, np.zeros(1, np.int64), np.zeros(1))
+        code.argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_int]
+        self._trigger = partial(code, *(array.ctypes.data for array in self.for_c.arrays), 0)
+
+
+def kernel_library(told: Told) -> Path:
+    """posterior.c with its settings before it, compiled unless the cache has it."""
+    return linked_library("posterior", (kernel_source(told), ()))
+
+
+def kernel_source(told: Told) -> str:
+    """posterior.c for these settings, complete."""
+    layout, whole, steps = Layout(told.period), (LARGEST / STEPS).round().astype(int) + 1, 2 * BANK.fine + 1
+    times = 2 * whole[0] - 1 + max(whole[1], steps)
+    counts = {
+        "COMMANDS": layout.commands, "READINGS": layout.readings, "GYROS": GYROS,
+        "VELOCITIES": len(BANK.velocity_models), "FINE": BANK.fine, "SIDE": max(*whole, steps),
+        "SIDES": 2 * max(*whole, steps), "MOST": times * max(whole[2], steps),
+    }  # fmt: skip
+    numbers: dict[str, float] = {f"STEP_{name}": step for name, step in zip("ADL", STEPS.tolist(), strict=False)}
+    numbers |= {f"LARGEST_{name}": most for name, most in zip("ADL", LARGEST.tolist(), strict=False)}
+    numbers |= {"PERIOD": told.period, "INSTANT": INSTANT, "NEVER": NEVER, "LARGEST_DEAD_TIME": BANK.largest_dead_time}
+    numbers |= dict(zip(("SPAN_FORCE", "SPAN_RATE"), told.spans, strict=True))
+    numbers |= dict(zip(("TURN_NOISE", "ATTITUDE_NOISE"), told.turn_noise, strict=True))
+    names = (
+        "mean_delay", "scale_deviation", "inertia_deviation", "bias_deviation", "rate_bias_deviation", "floor",
+        "least_information", "most_information",
+    )  # fmt: skip
+    numbers |= {name.upper(): getattr(BANK, name) for name in names}
+    lines = [f"enum {{ {', '.join(f'{name} = {count}' for name, count in counts.items())} }};"]
+    lines += [f"#define {name} ((REAL){value!r})" for name, value in numbers.items()]
+    lines.append(f"#define VELOCITY_NOISES {{{', '.join(map(repr, BANK.velocity_models))}}}")
+    return "\n".join([*lines, SOURCE.read_text(encoding="utf-8")])
 
 
 def side_by_side(moments: np.ndarray) -> np.ndarray:
@@ -121,19 +147,25 @@ def grid_function(told: Told, fine: int) -> ca.Function:
     """Posterior on a grid, all hypotheses for fine = 1, or of steps a `fine`-th as large within one step of `centre`,
     (a, D, l, r).
 
-    against: log odds against rates LATE, PROMPT, BETWEEN. Leaves the mode, its log posterior and its rates; which noise
-    models count; log Bayes factors against no age and no total; whether the mode is the last that there is (a, D, l);
-    mean, deviation, 2.5 and 97.5 % quantiles of a, D, l, and by how much rates are newer than the pose (s).
+    against: log odds against rates LATE, PROMPT, BETWEEN. models: of the noise of gyroscope and velocity, of a finer
+    grid. Leaves the mode, its rates, and odds that allow these alone; the likeliest noise models; log Bayes factors
+    against no age and no total; whether the mode is the last that there is (a, D, l); of a finer grid FOUND.
     """
     layout, steps, whole = Layout(told.period), STEPS / fine, fine == 1
     sizes = [round(of) + 1 for of in (LARGEST if whole else 2 * STEPS) / steps]
     n_a, n_D, n_l, n_r = sizes
-    models = {"gyro": GYROS, "velocity": len(BANK.velocity_models)} if whole else {"gyro": 1, "velocity": 1}
-    commands, both = layout.commands + 3, 2 * layout.columns
-    shapes: dict[str, Any] = {"gyro": (commands, models["gyro"] * commands), "thrust": (commands, commands)}
-    shapes |= {"velocity": (both, models["velocity"] * both), "attitude": (both, both)}
-    shapes |= {"noise": models["velocity"], "against": 3, "centre": 4}
-    a = named_symbols(ca.MX, shapes | {"weights": 3, "lateral": 1})
+    commands, both, noises = layout.commands + 3, 2 * layout.columns, ca.DM(BANK.velocity_models)
+    shapes: dict[str, Any] = {"gyro": (commands, GYROS * commands), "thrust": (commands, commands)}
+    shapes |= {"velocity": (both, noises.numel() * both), "attitude": (both, both)}
+    shapes |= {"against": 3, "centre": 4, "models": 2, "weights": 3, "lateral": 1}
+    a = named_symbols(ca.MX, shapes)
+
+    def models(name: str, size: int, model: Any) -> list[Any]:
+        """The moments of each noise model, or of the one that counts."""
+        if whole:
+            return ca.horzsplit(a[name], size)
+        return [ca.reshape(a[name][ca.DM(range(size**2)) + size**2 * model], size, size)]
+
     reach = LARGEST if whole else STEPS
     low, high = ca.fmax(a["centre"] - reach, 0), ca.fmin(a["centre"] + reach, LARGEST)
     grids = [low[i] + steps[i] * ca.DM(range(size)) for i, size in enumerate(sizes)]
@@ -156,17 +188,21 @@ def grid_function(told: Told, fine: int) -> ca.Function:
     first = ca.fmax(low[0] - high[3], 0)
     times = first + low[1] + steps[0] * ca.DM(range(n_old + n_D - 1))
     told_of = times < ca.fmax(high[0] - low[3], 0) + high[1] + INSTANT
-    told_of = ca.mtimes(told_of, inside[2].T)
+    wait = ca.repmat(times, 1, n_l) - ca.repmat(lags.T, times.numel(), 1)
+    told_of = ca.mtimes(told_of, inside[2].T) * (wait > -INSTANT)
+    told_of = told_of * (wait < BANK.largest_dead_time + BANK.largest_age + INSTANT)
     by_gyro = commands_function("gyro", told, layout, n_old + n_D - 1, n_l)
-    each = ca.horzsplit(a["gyro"], commands)
-    gyro_model, of_gyro = _likeliest([by_gyro(M, times, lags, told_of, a["weights"][0]) for M in each])
+    each = models("gyro", commands, a["models"][0])
+    by_gyro_model = [ca.if_else(told_of, by_gyro(M, times, lags, told_of, a["weights"][0]), -NEVER) for M in each]
+    gyro_model, of_gyro = _likeliest(by_gyro_model)
     by_old = [of_total + of_gyro[i : i + n_D, :] for i in range(n_old)]
 
     # velocities and attitudes, of age and of what rates are newer by
     reading = told.period * ca.sqrt(a["lateral"])
     by_velocity, by_attitude = (readings_function(*of) for of in (("velocity", told, n_a), ("attitude", told, n_r)))
-    each = zip(ca.horzsplit(a["velocity"], both), ca.vertsplit(a["noise"]), strict=True)
-    by_model = [by_velocity(M, ages, inside[0], a["weights"][1], reading, noise) for M, noise in each]
+    by_noise = ca.vertsplit(noises) if whole else [ca.MX(noises)[a["models"][1]]]
+    of_velocity = zip(models("velocity", both, a["models"][1]), by_noise, strict=True)
+    by_model = [by_velocity(M, ages, inside[0], a["weights"][1], reading, noise) for M, noise in of_velocity]
     velocity_model, of_age = _likeliest(by_model)
     of_age = of_age - ages / BANK.mean_delay
     of_newer = by_attitude(a["attitude"], newer, inside[3], a["weights"][2], *told.turn_noise)
@@ -189,15 +225,17 @@ def grid_function(told: Told, fine: int) -> ca.Function:
     row, row_of_total = ca.fmod(at, n_a), ca.fmod(at_total, n_D)
     place = ca.vertcat(row, row_of_total, (at_total - row_of_total) / n_D, (at - row) / n_a)
     mode = low + steps * place
+    of_mode = rates_of(mode[0], mode[3])
     results = {
-        "mode": mode, "best": best, "rates": rates_of(mode[0], mode[3]),
-        "gyro_model": gyro_model, "velocity_model": velocity_model,
+        "mode": mode, "rates": of_mode, "allowed": ca.if_else(ca.DM(range(3)) == of_mode, a["against"], NEVER),
+        "chosen": ca.vertcat(gyro_model, velocity_model),
         "odds": ca.vertcat(best - ca.mmax(log[0, :]), best - ca.mmax(without_total)),
         "at_end": mode[:3] > LARGEST[:3] - INSTANT,
     }  # fmt: skip
     if whole:
         return named_function("coarse", a, {name: ca.densify(value) for name, value in results.items()})
 
+    results["best"] = best
     likely, share_of_age, share = ca.exp(log - best), 0, 0
     for i, one in enumerate(by_old):
         here = likely * (old == i)
@@ -209,7 +247,7 @@ def grid_function(told: Told, fine: int) -> ca.Function:
     spread = [_summary(*of) for of in zip(shares, grids[:3], steps[:3], beside, strict=True)]
     for name, values in zip(("mean", "deviation", "lower", "upper"), zip(*spread, strict=True), strict=True):
         results[name] = ca.vertcat(*values)
-    results["newer"] = ca.if_else(results["rates"] == PROMPT, results["mean"][0], mode[3])
+    results["newer"] = ca.if_else(of_mode == PROMPT, results["mean"][0], mode[3])
     return named_function("fine", a, {name: ca.densify(value) for name, value in results.items()})
 
 

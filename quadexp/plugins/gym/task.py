@@ -20,6 +20,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -45,7 +46,8 @@ class Task:
         and ahead. last: the action before, (a,)."""
         error = reference[0, POSITION] - x[POSITION]
         ahead = reference[1:, POSITION] - x[POSITION]
-        parts = (error, reference[0, VELOCITY], rotation(x[ATTITUDE]), x[VELOCITY], x[RATE], last, self._room)
+        attitude = Rotation.from_quat(x[ATTITUDE], scalar_first=True).as_matrix()  # body to world
+        parts = (error, reference[0, VELOCITY], attitude.ravel(), x[VELOCITY], x[RATE], last, self._room)
         return np.concatenate([*parts, ahead.ravel()], dtype=np.float32, casting="same_kind")
 
     def thrusts(self, action: np.ndarray, rate: np.ndarray) -> np.ndarray:
@@ -64,12 +66,3 @@ class Task:
         below = vehicle.hover_thrust - vehicle.thrust_min
         above = vehicle.thrust_max - vehicle.hover_thrust
         return vehicle.hover_thrust + np.where(action < 0, action * below, action * above)
-
-
-def rotation(q: np.ndarray) -> np.ndarray:
-    """The rotation matrix, body to world, of a unit quaternion (w first), row by row, (9,)."""
-    w, i, j, k = q
-    first = (1 - 2 * (j * j + k * k), 2 * (i * j - w * k), 2 * (i * k + w * j))
-    second = (2 * (i * j + w * k), 1 - 2 * (i * i + k * k), 2 * (j * k - w * i))
-    third = (2 * (i * k - w * j), 2 * (j * k + w * i), 1 - 2 * (i * i + j * j))
-    return np.array((*first, *second, *third))

@@ -7,7 +7,10 @@ BRINGS = {
         "replay-test": "quadexp.plugins.identification.replay_command:replay_test",
     },
     "parts": {"from_model": "quadexp.plugins.identification.from_model"},
-    "models": {"vehicle_model": "quadexp.plugins.identification.vehicle_model"},
+    "models": {
+        "vehicle_model": "quadexp.plugins.identification.vehicle_model",
+        "rotor_force": "quadexp.plugins.identification.rotor_force",
+    },
     "services": {
         "recorded_flights": "quadexp.plugins.identification.recorded",
         "rotor_thrust": "quadexp.plugins.identification.rotor_thrust",

@@ -17,14 +17,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from msgspec.structs import replace as with_changes
 
-from quadexp.errors import UsageError
+from quadexp.errors import DataError, UsageError
 from quadexp.experiment.vehicle_of import own_vehicle, recorded_vehicle, refuse_repeated, vehicle_named
 from quadexp.log import store
 from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import save_model
+from quadexp.models.dataset import WIND, ResidualDataset, by_axis
+from quadexp.models.drag_choice import chosen_drag, compare_drag
+from quadexp.models.residual import THRUST, VELOCITY
 from quadexp.parts.options import Folders
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.inflow import momentum_of
+from quadexp.plugins.identification.recorded import read_recorded
+from quadexp.plugins.identification.thrust_curve import ThrustCurve, fit_thrust_samples
+from quadexp.plugins.identification.torque_gain import TorqueGain
 from quadexp.plugins.identification.vehicle_model import (
     HOVER_INFLOW,
     FitSettings,
@@ -35,7 +41,8 @@ from quadexp.plugins.identification.vehicle_model import (
     flight_by_flight,
     selection,
 )
-from quadexp.plugins.logs.samples import QUATERNION, Samples, gather_to_fit, rotor_columns
+from quadexp.plugins.identification.vehicle_numbers import numbers_of
+from quadexp.plugins.logs.samples import QUATERNION, RATES, READINGS, SIGNALS, Samples, gather_to_fit, rotor_columns
 from quadexp.plugins.papers.lei_li.blade_element import Identification, identify_flight
 from quadexp.provenance import provenance, versions
 from quadexp.writer import check_output
@@ -73,18 +80,6 @@ def choose_method(paths: Sequence[Path], asked: str | None, vehicle: Vehicle | N
         if flown is None and flight.metadata.get("recorded"):
             return Choice("regression", f"{path} is of a vehicle that is not in the configuration")
     return Choice("rls", "rotor speeds and the rotors' geometry are known")
-
-
-def read_recorded(path: Path) -> Flight:
-    """Read a flight that may lack commanded thrusts, as a log does. Raises DataError unless time, attitude and velocity
-    are finite, time increases and no sample was left out."""
-    needed = ("t", *QUATERNION, "v_x", "v_y", "v_z")
-    columns, record = store.read_table(path, "flight", required=needed)
-    store.check_finite(columns, needed, str(path))
-    store.check_attitude(columns, str(path))
-    store.check_whole(record, str(path))
-    store.check_order(columns["t"], str(path))
-    return Flight(columns, record)
 
 
 def identify_files(
@@ -138,22 +133,55 @@ def identify_vehicle(
     if curves:
         settings = chosen_curve(curves, settings)
     ladder = selection(samples, settings, momentum)
-    best = best_level(ladder)
+    air = compare_drag(rows_of_samples(samples, settings))
+    best = chosen_drag(air) or best_level(ladder)
+    if best not in ("linear", *settings.kinds) or next(row for row in ladder if row["level"] == best)["note"]:
+        best = best_level(ladder)
     with_inflow = any(row["level"] == "blade_element" and not row["note"] for row in ladder)
     if with_inflow and best_level(ladder, ("blade_element", HOVER_INFLOW)) == HOVER_INFLOW:
         settings = replace(settings, induced=False)
+        best = HOVER_INFLOW if best == "blade_element" else best
     kept = "blade_element" if best == HOVER_INFLOW else best
     model = fit_vehicle_model(flights, vehicle, settings, names=names, samples=samples, best=kept)
+    torque, hidden = torque_of(flights, names, vehicle, samples, model.thrust)
+    model = with_changes(model, torque=torque, notes=(*model.notes, *hidden))
     if not settings.induced:
         model = with_changes(model, notes=(*model.notes, NO_INDUCED))
     model = with_changes(model, versions=versions())
+    alone = flight_by_flight(samples, settings)
+    numbers = numbers_of(model.thrust, samples, alone, vehicle, torque)
     report = {
         "kind": "vehicle_model", "vehicle": model.vehicle, "dataset": model.dataset, "signal": samples.kind,
         "thrust": str(model.thrust), "models": {kind: terms.records() for kind, terms in model.models.items()},
-        "flights": flight_by_flight(samples, settings), "curves": curves, "selection": ladder, "best": model.best,
+        "flights": alone, "curves": curves, "air": air, "numbers": numbers,
+        "torque": None if torque is None else torque.record(), "selection": ladder, "best": model.best,
         "best_row": best, "notes": list(model.notes),
     }  # fmt: skip
     return VehicleIdentification(model, samples, report)
+
+
+def rows_of_samples(samples: Samples, settings: FitSettings) -> ResidualDataset:
+    """Residual beyond the thrust curve as `quadexp collect` has it, for a vehicle of 1 kg."""
+    curve = fit_thrust_samples(samples, settings, intervals=False)[0]
+    rotors = curve.of_signal(samples.signal, samples.voltage)
+    residual = samples.force - rotors.sum(axis=1)[:, None] * [0, 0, 1]
+    columns = {"flight": samples.flight, **by_axis(v=samples.velocity, a=residual)}
+    columns |= {f"u_{i}": rotor for i, rotor in enumerate(rotors.T)} | {THRUST: rotors.sum(axis=1)}
+    return ResidualDataset(columns, {"recorded": True, "vehicle": {"mass": 1.0}})
+
+
+def torque_of(
+    flights: Sequence[Flight], names: Sequence[str], vehicle: Vehicle | None, samples: Samples, curve: ThrustCurve
+) -> tuple[TorqueGain | None, list[str]]:
+    """The gain of the rotors' torque, or a note why there is none."""
+    from quadexp.plugins.identification.torque import torque_data, torque_gain
+
+    if vehicle is None:
+        return None, ["no torque: the vehicle is not known, whose arms it needs"]
+    try:
+        return torque_gain(torque_data(flights, names, vehicle, samples, curve), vehicle), []
+    except DataError as error:
+        return None, [f"no torque: {error}"]
 
 
 def chosen_curve(curves: Sequence[Mapping[str, Any]], settings: FitSettings) -> FitSettings:
@@ -179,6 +207,15 @@ def chosen_curve(curves: Sequence[Mapping[str, Any]], settings: FitSettings) -> 
     return settings
 
 
+def _lean(flight: Flight) -> Flight:
+    """The flight with the columns that the torque needs, to free the others."""
+    needed = ("t", "segment", "battery_voltage", *QUATERNION, *VELOCITY, *WIND, *READINGS, *RATES)
+    kept = {name: column for name, column in flight.columns.items() if name in needed}
+    for kind in SIGNALS:
+        kept |= {name: flight.columns[name] for name in rotor_columns(flight, kind)}
+    return Flight(kept, flight.metadata)
+
+
 def identify_flights(
     paths: Sequence[Path], out: Path, vehicle: Vehicle | None, settings: FitSettings, *, force: bool = False,
     figures: bool = True, conf: Folders = None,
@@ -196,7 +233,7 @@ def identify_flights(
     names = [path.stem if stems.count(path.stem) == 1 else str(path) for path in paths]
     flights = [read_recorded(path) for path in paths]
     samples = gather_to_fit(flights, settings.signal, names)
-    flights = [Flight({"t": flight.t[:1]}, flight.metadata) for flight in flights]  # to free their columns
+    flights = [_lean(flight) for flight in flights]
     model, _, report = identify_vehicle(
         flights, names, vehicle or own_vehicle(flights[0], conf), settings, samples=samples
     )

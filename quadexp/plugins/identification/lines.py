@@ -9,8 +9,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from quadexp.models.drag_choice import drag_line
 from quadexp.models.regression import FLIGHT_CLUSTERS, LEAST_FLIGHTS
 from quadexp.names import distinct
+from quadexp.plugins.identification.vehicle_numbers import number_lines
 from quadexp.report.table import Table
 
 Row = Mapping[str, Any]
@@ -34,7 +36,7 @@ QUANTITIES = {
 
 def identification_lines(model: Any, report: Row) -> list[str]:
     """The result of an identification. report: as in the checkpoint folder."""
-    lines = [_data_line(model), *model_lines(model)]
+    lines = [_data_line(model), *model_lines(model), *_numbers(model, report), drag_line(report["air"])]
     if len(report["flights"]) > 1:
         lines.append("each flight alone")
         for flight in report["flights"]:
@@ -54,7 +56,14 @@ def main_lines(model: Any, report: Row) -> list[str]:
         score, where = row["held_out"] or row["in_sample"], "on flights left out" if row["held_out"] else "in sample"
         error = f": RMSE {score['norm']:.3f} m/s^2 {where}" if score else ""
         lines.append(f"best        {row['name'].strip('+ ')}{error}")
+    lines += _numbers(model, report)
     return lines + [f"note        {note}" for note in report["notes"]]
+
+
+def _numbers(model: Any, report: Row) -> list[str]:
+    """Numbers that a person uses, and the torque."""
+    torque = [] if model.torque is None else [f"torque      {model.torque}"]
+    return torque + number_lines(report["numbers"], model.linear.records())
 
 
 def _data_line(model: Any) -> str:
@@ -123,7 +132,8 @@ def selection_lines(rows: Sequence[Row], best: str) -> list[str]:
         lines.append([row["name"], *cells, note])
     heads = ["RMSE (m/s^2)", *(part if part == "trimmed" else key for part, key in scores), ""]
     left, groups = frozenset({0, len(heads) - 1}), {1: "in sample", **({5: "left out"} if held else {})}
-    note = "  (nominal: a curve fitted without drag beside it; `validate` takes the curve fitted beside drag)"
+    note = "  (nominal: a curve fitted without drag beside it; `validate` takes the curve fitted beside drag."
+    note += " best: of the air alone, see `air`, as `quadexp fit` compares)"
     return Table(heads, lines, left=left, groups=groups, notes=[note]).lines()
 
 
@@ -154,7 +164,17 @@ def validation_lines(report: Row) -> list[str]:
                 description += "; rotor thrusts as measured, thrust scale tracked up to the start"
             head = f"open loop: {description}; {mean_of(mode)} over {rollouts[0]['starts']} starts"
             lines += ["", head, *rollout_lines(rollouts)]
-    return lines
+    return [*lines, "", *_torque_lines(report["torque"])]
+
+
+def _torque_lines(torque: Row) -> list[str]:
+    """Attitude by the replay model of the torque, beside rates held and blind to the motors."""
+    from quadexp.plugins.identification.torque import DOES_NOT_SHOW, replay_lines
+
+    if "note" in torque:
+        return [torque["note"]]
+    lines = replay_lines(torque["rollouts"])
+    return lines if torque["shown"] else [*lines, f"{DOES_NOT_SHOW}: the replay model is no better than blind"]
 
 
 def _least_lines(rows: Sequence[Row]) -> list[str]:

@@ -36,22 +36,36 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
+from quadexp.log import store
 from quadexp.log.schema import Flight, is_recorded
 from quadexp.models.checkpoint import plain
 from quadexp.models.dataset import ResidualDataset, by_axis, joined, transitions
 from quadexp.models.residual import THRUST
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.thrust_curve import ThrustCurve
-from quadexp.plugins.logs.samples import choose_signal, read_rows, rotor_columns
+from quadexp.plugins.logs.samples import QUATERNION, choose_signal, read_rows, rotor_columns
 
 MEMORY = 10.0  # s, of the tracked scale
 PRIOR = 0.5  # s
 THRUST_SIGNALS = ("u", "thrust_acceleration")  # in units of force or acceleration, usable without a thrust curve
+
+
+def read_recorded(path: Path) -> Flight:
+    """Read a flight that may lack commanded thrusts, as a log does. Raises DataError unless time, attitude and velocity
+    are finite, time increases and no sample was left out."""
+    needed = ("t", *QUATERNION, "v_x", "v_y", "v_z")
+    columns, record = store.read_table(path, "flight", required=needed)
+    store.check_finite(columns, needed, str(path))
+    store.check_attitude(columns, str(path))
+    store.check_whole(record, str(path))
+    store.check_order(columns["t"], str(path))
+    return Flight(columns, record)
 
 
 def logged_thrust(flights: Sequence[Flight], vehicle: Vehicle) -> ThrustCurve:
@@ -121,10 +135,13 @@ def recorded_dataset(
 
 
 def tracked_scale(collective: np.ndarray, measured: np.ndarray, dt: float) -> np.ndarray:
-    """g of the module before every sample of one flight, (k,); collective c, measured y: (k,) m/s^2. dt: s."""
+    """g of the module before every sample of one flight, (k,); collective c, measured y: (k,) m/s^2. dt: s.
+
+    c may be zero at first, on the ground; until it is not, g is 1."""
     from scipy.signal import lfilter
 
     decay = float(np.exp(-dt / MEMORY))
-    prior = PRIOR / dt * collective[0] ** 2 * decay ** np.arange(len(collective))
+    first = int(np.argmax(collective != 0))
+    prior = PRIOR / dt * (collective[first] or 1.0) ** 2 * decay ** np.maximum(np.arange(len(collective)) - first, 0)
     past = lfilter([0.0, 1.0], [1.0, -decay], np.stack([collective * measured, collective * collective]), axis=1)
     return (prior + past[0]) / (prior + past[1])

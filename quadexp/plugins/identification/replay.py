@@ -41,6 +41,7 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification import validation
 from quadexp.plugins.identification.recorded import tracked_scale
 from quadexp.plugins.identification.replay_log import LoggedPath, Noise
+from quadexp.plugins.identification.torque_gain import TorqueGain
 from quadexp.plugins.identification.validation import POINT, WORLD_VELOCITY, Predictor
 from quadexp.plugins.identification.vehicle_model import VehicleModel
 from quadexp.plugins.logs.samples import QUATERNION, FlightRows, read_rows
@@ -85,7 +86,8 @@ def replay_test(
     sent = read_rows(flight, log.stem, curve.signal)
     rows = read_rows(flight, log.stem, curve.signal, curve.delay, curve.lag)
     path = logged_path(sent, predictor, str(log))
-    noise = noise_of(rows, predictor, vehicle)
+    torque = model.torque if isinstance(model, VehicleModel) else None
+    noise = noise_of(rows, predictor, vehicle, torque)
     flights: list[Flight] = []
     with tempfile.TemporaryDirectory() as folder:
         track = Path(folder) / "path.csv"
@@ -228,8 +230,8 @@ def _between_flights(report: Mapping[str, Any], axis: str, names: Sequence[str])
     return variances
 
 
-def noise_of(rows: FlightRows, predictor: Predictor, vehicle: Vehicle) -> Noise:
-    """What the model leaves on a log; see the module. rows: with the commands as late as they act."""
+def noise_of(rows: FlightRows, predictor: Predictor, vehicle: Vehicle, torque: TorqueGain | None = None) -> Noise:
+    """What the model leaves on a log; see the module. rows: with the commands as late as they act. torque: its gain."""
     samples = rows.samples
     rotors = predictor.curve.of_signal(samples.signal, samples.voltage)
     collective = rotors.sum(axis=1)
@@ -248,10 +250,11 @@ def noise_of(rows: FlightRows, predictor: Predictor, vehicle: Vehicle) -> Noise:
     rate = (rows.rate[:-1] + rows.rate[1:]) / 2
     needed = np.diff(rows.rate, axis=0) / rows.dt @ vehicle.inertia_matrix
     needed += np.cross(rate, rate @ vehicle.inertia_matrix)
-    left = needed - mean_thrust @ vehicle.allocation[1:].T
-    torque, without = _density(left[:, :2], rows), _density(needed[:, :2], rows)
-    shows = torque < BETTER * without
-    return Noise(force, torque if shows else 0.0, shows)
+    gain = np.ones(3) if torque is None else np.array([1.0 if ratio is None else ratio for ratio in torque.used])
+    left = needed - gain * (mean_thrust @ vehicle.allocation[1:].T)
+    remaining, without = _density(left[:, :2], rows), _density(needed[:, :2], rows)
+    shows = remaining < BETTER * without
+    return Noise(force, remaining if shows else 0.0, shows)
 
 
 def _force_of_motion(rows: FlightRows, gravity: float) -> np.ndarray:

@@ -4,18 +4,16 @@
     w_y' = g_y t_y + o_y - d_y S w_y + f_y S v_x         the thrust curve is; S: sum of the rotor speeds over its mean
     w_z' = g_z t_z + o_z - d_z S w_z                  11 constants: gain, offset, damping, flapping
 
-gain      by regression of w' between 1 and 15 Hz, with damping and flapping as columns: beside 1/J, which it is where
-          the vehicle file is right. Printed per newton of one rotor: times arm, or torque coefficient about z.
-          (Damping and flapping are printed of the regression from 0 Hz on: the velocity changes slowly)
+gain      by prediction error with damping and flapping as columns (torque_gain.py), beside 1/J, which it is where the
+          vehicle file is right, and beside that of a regression of w' between 1 and 15 Hz. Printed per newton of one
+          rotor: times arm, or torque coefficient about z. `quadexp identify` keeps it in its model: plants and
+          controllers that take the model turn by it. (Damping and flapping are printed of the regression from 0 Hz on:
+          the velocity changes slowly)
 torque    RMS of w' - w'_model below 15 Hz on flights left out, the constants by equation error; none: rates held
 replay    the constants by output error: rollouts of HORIZON from measured rates, linear in (g, o, f) for a given d,
           Huber's loss, one search over d. The loop that flew hides the gain from this fit, a fifth of the true one is
           common: it predicts flights of this loop and is never stored, no controller or plant can have it. Blind: the
           same without t. Where the motors do not beat blind, the log does not show the torque
-
-The gain is too small where disturbances rather than the path move the commands, because the loop answers them within
-the filters' reach: a simulated flight on a smooth path with five times the usual motor noise gives 0.82 of the true
-gain. Its interval does not contain that.
 
 Every fit is scored on flights left out, of one flight on its other half.
 """
@@ -33,12 +31,15 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.vehicle_of import own_vehicle
+from quadexp.log.schema import Flight
 from quadexp.models.regression import half_width, regress
 from quadexp.parts.options import Folders
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.identification.identify import read_recorded
+from quadexp.plugins.identification.recorded import read_recorded
 from quadexp.plugins.identification.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples
-from quadexp.plugins.logs.samples import QUATERNION, FlightRows, gather_to_fit, read_rows
+from quadexp.plugins.identification.torque_gain import TorqueGain, gains, own_timing
+from quadexp.plugins.identification.turning import AXES, LEAST, OTHER, Turning, speed_of, turnings
+from quadexp.plugins.logs.samples import COMMANDS, Samples, gather_to_fit, read_rows
 from quadexp.report.table import Table
 
 LOW, HIGH = 1.0, 15.0  # Hz
@@ -47,48 +48,8 @@ HORIZON, STRIDE = 0.5, 0.1  # s: of a rollout of the fit, and between their star
 DAMPING = (-2.0, 25.0)  # 1/s, searched
 HUBER = 1.345
 HORIZONS = (0.1, 0.5, 1.0)  # s
-LEAST = 6.0  # s of a stretch
 BETTER = 0.95  # of another error: what is worth naming
-AXES = ("roll", "pitch", "yaw")
-OTHER = (1, 0, None)  # axis of the velocity that makes the blades flap
 DOES_NOT_SHOW = "this log does not show the torque"
-
-
-class Turning(NamedTuple):
-    """A stretch of a flight without gaps. rate: (k, 3), rad/s. attitude: k of them. Of the interval from each sample to
-    the next: torque (k - 1, 3) N m, spin (k - 1,) S, velocity (k - 1, 3) body m/s. flight: its number. dt: s."""
-
-    rate: np.ndarray
-    attitude: Rotation
-    torque: np.ndarray
-    spin: np.ndarray
-    velocity: np.ndarray
-    flight: int
-    dt: float
-
-    @property
-    def acceleration(self) -> np.ndarray:
-        """w', (k - 1, 3), rad/s^2."""
-        return np.diff(self.rate, axis=0) / self.dt
-
-    def columns(self, axis: int, *, motors: bool = True) -> np.ndarray:
-        """Torque (with motors), one and flapping, (k - 1, p)."""
-        parts = [self.torque[:, axis]] if motors else []
-        parts.append(np.ones(len(self.spin)))
-        other = OTHER[axis]
-        if other is not None:
-            parts.append(self.spin * self.velocity[:, other])
-        return np.column_stack(parts)
-
-    def damped(self, axis: int) -> np.ndarray:
-        """-S w, (k - 1,)."""
-        return -self.spin * (self.rate[:-1, axis] + self.rate[1:, axis]) / 2
-
-    def part(self, first: int, last: int) -> Turning:
-        """Samples first .. last - 1."""
-        inner = slice(first, last - 1)
-        rows = {name: getattr(self, name)[inner] for name in ("torque", "spin", "velocity")}
-        return self._replace(rate=self.rate[first:last], attitude=self.attitude[first:last], **rows)
 
 
 class AxisModel(NamedTuple):
@@ -97,28 +58,6 @@ class AxisModel(NamedTuple):
     theta: np.ndarray
     damping: float
     motors: bool
-
-
-def turnings(rows: FlightRows, curve: ThrustCurve, vehicle: Vehicle, flight: int, mean_speed: float) -> list[Turning]:
-    """The stretches of a flight that are long enough. mean_speed: sum of the rotor speeds that S is relative to."""
-    samples = rows.samples
-    rotors = curve.of_signal(samples.signal, samples.voltage)
-    ahead = samples.during(rotors)
-    mean = ahead[:-1] if samples.held.all() and not curve.lag else (ahead[:-1] + ahead[1:]) / 2
-    spin = _speed(mean) / mean_speed
-    velocity = (samples.velocity[:-1] + samples.velocity[1:]) / 2
-    attitude = Rotation.from_quat(rows.flight.stack(QUATERNION)[rows.first :], scalar_first=True)
-    torque = vehicle.mass * mean @ vehicle.allocation[1:].T
-    whole = Turning(rows.rate, attitude, torque, spin, velocity, flight, rows.dt)
-    breaks = (np.diff(samples.time) > 1.5 * rows.dt) | (np.diff(samples.segment) != 0)
-    ends = [0, *(np.flatnonzero(breaks) + 1), len(samples)]
-    pairs = zip(ends[:-1], ends[1:], strict=True)
-    return [whole.part(first, last) for first, last in pairs if (last - first) * rows.dt > LEAST]
-
-
-def _speed(rotors: np.ndarray) -> np.ndarray:
-    """Sum of the rotor speeds, each the root of its thrust, (k,)."""
-    return np.sqrt(np.maximum(rotors, 0.0)).sum(axis=1)
 
 
 def band(values: np.ndarray, dt: float, low: float) -> np.ndarray:
@@ -215,6 +154,55 @@ def attitude_errors(turning: Turning, models: Sequence[AxisModel] | None) -> np.
     return np.array(errors)
 
 
+class TorqueData(NamedTuple):
+    """Of flights of one vehicle. curve: of the thrust. variants: see torque_gain.gains; the first is what the rest of
+    this module uses."""
+
+    curve: ThrustCurve
+    variants: list[list[Turning]]
+
+    @property
+    def turnings(self) -> list[Turning]:
+        return self.variants[0]
+
+
+def torque_data(
+    flights: Sequence[Flight],
+    names: Sequence[str],
+    vehicle: Vehicle,
+    samples: Samples,
+    curve: ThrustCurve | None = None,
+    *,
+    variants: bool = True,
+) -> TorqueData:
+    """samples: of all flights. curve: of their thrust, None: fitted here. variants: False for the first only.
+
+    Raises DataError where a signal of every rotor is missing or the flights are too short."""
+    if samples.signal.shape[1] != vehicle.n_rotors:
+        raise DataError(
+            f"{names[0]}: has {samples.kind}, the torque needs a signal of each of {vehicle.n_rotors} rotors"
+        )
+    first = curve or fit_thrust_samples(samples, CurveSettings(), intervals=False)[0]
+    other = CurveSettings(first.reference_voltage, first.voltage_exponent, (2,) if len(first.powers) > 1 else (1, 2))
+    curves = [first, fit_thrust_samples(samples, other, intervals=False)[0]]
+
+    def build(dead_time: float, lag: float, another_curve: bool) -> list[Turning]:
+        used, data = curves[another_curve], list[Turning]()
+        mean_speed = float(speed_of(used.of_signal(samples.signal, samples.voltage)).mean())
+        for number, (flight, name) in enumerate(zip(flights, names, strict=True)):
+            rows = read_rows(flight, name, used.signal, dead_time, lag)
+            data += turnings(rows, used, vehicle, number, mean_speed)
+        return data
+
+    usual = build(first.delay, first.lag, False)
+    if not usual:
+        raise DataError(f"{names[0]}: no stretch without a gap takes {LEAST:g} s")
+    if not variants:
+        return TorqueData(first, [usual])
+    timings = [(first.delay, first.lag)] + [own_timing(build)] * (samples.kind in COMMANDS)
+    return TorqueData(first, [build(*timing, another) for timing in timings for another in (False, True)])
+
+
 def identify_torque(paths: Sequence[Path], vehicle: Vehicle | None, conf: Folders = None) -> dict[str, Any]:
     """{"axes": gain and errors of each axis, "rollouts": of each model, "shown": whether the flights show the torque,
     "lines"}. vehicle: None: that recorded in the flights.
@@ -227,58 +215,78 @@ def identify_torque(paths: Sequence[Path], vehicle: Vehicle | None, conf: Folder
     vehicle = vehicle or own_vehicle(flights[0], conf)
     if vehicle is None:
         raise UsageError(f"{paths[0]}: its vehicle is not known here, whose arms torque needs; name it: --vehicle NAME")
-    samples = gather_to_fit(flights, None, names)
-    if samples.signal.shape[1] != vehicle.n_rotors:
-        raise DataError(
-            f"{paths[0]}: has {samples.kind}, the torque needs a signal of each of {vehicle.n_rotors} rotors"
-        )
-    curve = fit_thrust_samples(samples, CurveSettings(), intervals=False)[0]
-    mean_speed = float(_speed(curve.of_signal(samples.signal, samples.voltage)).mean())
-    data: list[Turning] = []
-    for number, (flight, name) in enumerate(zip(flights, names, strict=True)):
-        rows = read_rows(flight, name, curve.signal, curve.delay, curve.lag)
-        data += turnings(rows, curve, vehicle, number, mean_speed)
-    if not data:
-        raise DataError(f"{paths[0]}: no stretch without a gap takes {LEAST:g} s")
-    return judged(data, vehicle) | {"thrust": str(curve), "vehicle": vehicle.name}
+    data = torque_data(flights, names, vehicle, gather_to_fit(flights, None, names))
+    return judged(data, vehicle) | {"thrust": str(data.curve), "vehicle": vehicle.name}
 
 
-def judged(data: Sequence[Turning], vehicle: Vehicle) -> dict[str, Any]:
+def torque_gain(data: TorqueData, vehicle: Vehicle) -> TorqueGain:
+    """Beside the vehicle file, for a model that is stored."""
+    inertia = np.diag(vehicle.inertia_matrix)
+    ratio, low, high = np.array(gains(data.variants)).T * inertia
+    return TorqueGain(ratio, low, high)
+
+
+def judged(torque: TorqueData, vehicle: Vehicle) -> dict[str, Any]:
     """See `identify_torque`."""
+    data = torque.turnings
     arms = np.abs(vehicle.allocation[1:]).mean(axis=1)
     inverse = 1 / np.diag(vehicle.inertia_matrix)
     axes: list[dict[str, Any]] = []
-    for axis, name in enumerate(AXES):
-        model, half = equation_error(data, axis, LOW)
-        gain, by_file = arms[axis] * model.theta[0], arms[axis] * inverse[axis]
+    for axis, (name, gain) in enumerate(zip(AXES, gains(torque.variants), strict=True)):
+        value, low, high = (float(arms[axis] * number) for number in gain)
+        in_band = float(arms[axis] * equation_error(data, axis, LOW)[0].theta[0])
         whole = equation_error(data, axis, 0.0)[0]  # flapping follows the velocity, which changes below 1 Hz
-        row = {"axis": name, "gain": float(gain), "half": float(arms[axis] * half), "vehicle_file": float(by_file)}
+        row = {"axis": name, "gain": value, "low": low, "high": high, "in_band": in_band}
         flapping = None if OTHER[axis] is None else float(whole.theta[2])
-        axes.append(row | {"damping": whole.damping, "flapping": flapping})
+        row |= {"vehicle_file": float(arms[axis] * inverse[axis]), "damping": whole.damping, "flapping": flapping}
+        axes.append(row)
     held, left = np.zeros((2, 3)), 0
-    angles: dict[str, list[np.ndarray]] = {"rates held": [], "blind to the motors": [], "replay model": []}
-    for fitted, tested in _folds(data):
+    for fitted, tested in folds(data):
         regressions = [equation_error(fitted, axis, 0.0)[0] for axis in range(3)]
-        blind = [output_error(fitted, axis, motors=False) for axis in range(3)]
-        replay = [output_error(fitted, axis, motors=True) for axis in range(3)]
         for turning in tested:
             for axis, model in enumerate(regressions):
                 both = np.column_stack([turning.acceleration[:, axis], predicted(turning, axis, model)])
                 target, guess = band(both, turning.dt, 0.0).T
                 held[:, axis] += np.sum(target**2), np.sum((target - guess) ** 2)
             left += len(target)
-            for name, models in zip(angles, (None, blind, replay), strict=True):
-                angles[name].append(attitude_errors(turning, models))
     for axis, row in enumerate(axes):
         row["held_rms"], row["model_rms"] = np.sqrt(held[:, axis] / left).tolist()
-    rollouts = {name: np.concatenate(each, axis=1).mean(axis=1).tolist() for name, each in angles.items()}
+    rollouts = replayed(data)
     explained = any(row["model_rms"] < BETTER * row["held_rms"] for row in axes[:2])
-    beats_blind = rollouts["replay model"][1] < BETTER * rollouts["blind to the motors"][1]
-    report = {"axes": axes, "rollouts": rollouts, "shown": explained and beats_blind}
+    report = {"axes": axes, "rollouts": rollouts, "shown": explained and beats_blind(rollouts)}
     return report | {"lines": torque_lines(report)}
 
 
-def _folds(data: Sequence[Turning]) -> list[tuple[list[Turning], list[Turning]]]:
+HELD, BLIND, REPLAY = "rates held", "blind to the motors", "replay model"
+
+
+def replayed(data: Sequence[Turning]) -> dict[str, list[float]]:
+    """Mean attitude error (rad) at HORIZONS on flights left out, of rates held, blind and the replay model."""
+    angles: dict[str, list[np.ndarray]] = {HELD: [], BLIND: [], REPLAY: []}
+    for fitted, tested in folds(data):
+        blind = [output_error(fitted, axis, motors=False) for axis in range(3)]
+        replay = [output_error(fitted, axis, motors=True) for axis in range(3)]
+        for turning in tested:
+            for name, models in zip(angles, (None, blind, replay), strict=True):
+                angles[name].append(attitude_errors(turning, models))
+    return {name: np.concatenate(each, axis=1).mean(axis=1).tolist() for name, each in angles.items()}
+
+
+def beats_blind(rollouts: dict[str, list[float]]) -> bool:
+    """Whether the motors predict the attitude of half a second better than without them."""
+    return rollouts[REPLAY][1] < BETTER * rollouts[BLIND][1]
+
+
+def replay_lines(rollouts: dict[str, list[float]]) -> list[str]:
+    """The table of `replayed`."""
+    rolled = [[name, *(f"{angle:.3f}" for angle in angles)] for name, angles in rollouts.items()]
+    title = (
+        "attitude (rad) on flights left out, predicted from measured rates; for rollouts only, never a plant's torque"
+    )
+    return Table(["", *(f"{horizon:g} s" for horizon in HORIZONS)], rolled, title).lines()
+
+
+def folds(data: Sequence[Turning]) -> list[tuple[list[Turning], list[Turning]]]:
     """Fitted and tested: each flight left out once; of one flight each half."""
     numbers = sorted({turning.flight for turning in data})
     if len(numbers) == 1:
@@ -295,23 +303,20 @@ def _folds(data: Sequence[Turning]) -> list[tuple[list[Turning], list[Turning]]]
 
 def torque_lines(report: dict[str, Any]) -> list[str]:
     """The three things, in words."""
-    gains, errors = [], []
+    rows, errors = [], []
     for row in report["axes"]:
         ratio = row["gain"] / row["vehicle_file"]
-        numbers = [f"{row['gain']:.4g} +- {row['half']:.2g}", f"{row['vehicle_file']:.4g}", f"{ratio:.2f}"]
+        numbers = [f"{row['gain']:.4g}", f"[{row['low']:.4g}, {row['high']:.4g}]", f"{row['vehicle_file']:.4g}"]
         flapping = "" if row["flapping"] is None else f"{row['flapping']:.3g}"
-        gains.append([row["axis"], *numbers, f"{row['damping']:.3g}", flapping])
+        rows.append([row["axis"], *numbers, f"{ratio:.2f}", f"{row['in_band']:.4g}", f"{row['damping']:.3g}", flapping])
         share = 100 * (row["model_rms"] / row["held_rms"] - 1)
         errors.append([row["axis"], f"{row['held_rms']:.3g}", f"{row['model_rms']:.3g}", f"{share:+.0f} %"])
-    rolled = [[name, *(f"{angle:.3f}" for angle in angles)] for name, angles in report["rollouts"].items()]
-    heads = ["axis", "flights", "arm c / J of the file", "ratio", "damping (1/s)", "flapping (rad/(m s))"]
-    lines = Table(heads, gains, "gain, rad/s^2 per N of one rotor, 1 to 15 Hz, 95 % interval").lines()
+    heads = ["axis", "gain", "95 %", "arm c / J of the file", "ratio", "1 to 15 Hz", "damping (1/s)"]
+    title = "gain, rad/s^2 per N of one rotor; the interval holds other timings and thrust curves"
+    lines = Table([*heads, "flapping (rad/(m s))"], rows, title).lines()
     title = "torque on flights left out, RMS below 15 Hz (rad/s^2): none (rates held) and by equation error"
     lines += Table(["axis", "rates held", "equation error", ""], errors, title).lines()
-    title = (
-        "attitude (rad) on flights left out, predicted from measured rates; for rollouts only, never a plant's torque"
-    )
-    lines += Table(["", *(f"{horizon:g} s" for horizon in HORIZONS)], rolled, title).lines()
+    lines += replay_lines(report["rollouts"])
     if not report["shown"]:
         lines.append(f"{DOES_NOT_SHOW}: rotor commands predict its turning no better than without them")
     return lines

@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from quadexp.errors import UsageError
+from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.vehicle_of import refuse_repeated
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
-from quadexp.models.checkpoint import load_model
+from quadexp.models.checkpoint import edited_note, load_model
 from quadexp.names import distinct, without
 from quadexp.parts.schema import Config
 from quadexp.physics.vehicle import Vehicle
@@ -22,7 +22,7 @@ from quadexp.plugins.identification.recorded import recorded_dataset
 from quadexp.plugins.identification.thrust_curve import ThrustCurve
 from quadexp.plugins.identification.validation import Predictor, Track
 from quadexp.plugins.identification.vehicle_model import FitSettings, VehicleModel, fit_vehicle_model
-from quadexp.plugins.logs.samples import FlightRows, read_rows
+from quadexp.plugins.logs.samples import FlightRows, gather_to_fit, read_rows
 from quadexp.provenance import provenance, versions
 from quadexp.writer import check_output, write_text
 
@@ -57,7 +57,7 @@ def validate(
         raise UsageError("--leave-one-out: needs at least two flights")
     folds = [[name] for name in flown] if leave_one_out else [list(flown)]
     by_predictor: dict[str, list[tuple[Predictor, FlightRows]]] = {}
-    notes: list[str] = []
+    notes = [f"warning: {edited}" for path in models if (edited := edited_note(path))]
     for done, tested in enumerate(folds):
         progress(done, len(folds))
         others = without(flown, tested)
@@ -78,7 +78,8 @@ def validate(
         "nominal": None if leave_one_out else str(used[0].curve),
         "rows": validation.score_rows(scored), "bands": validation.band_rows(scored),
         "rollouts": [row for predicted in by_predictor.values() for row in _rollouts(predicted, horizons, vehicle)],
-        "notes": distinct(notes), "versions": versions(), "provenance": provenance(),
+        "torque": _replayed(flown, vehicle), "notes": distinct(notes),
+        "versions": versions(), "provenance": provenance(),
     }  # fmt: skip
     from quadexp.plugins.identification.lines import validation_lines
 
@@ -92,6 +93,20 @@ def validate(
 
             files |= {name: str(save(figure, out / name)) for name, figure in validation_figures(report).items()}
     return {**report, "lines": lines, "files": files}
+
+
+def _replayed(flown: Mapping[str, Flight], vehicle: Vehicle) -> dict[str, Any]:
+    """{"rollouts": of torque.replayed} of these flights, each by those fitted to the others; {"note"} where there is
+    none."""
+    from quadexp.plugins.identification.torque import beats_blind, replayed, torque_data
+
+    flights, names = list(flown.values()), list(flown)
+    try:
+        samples = gather_to_fit(flights, None, names)
+        rollouts = replayed(torque_data(flights, names, vehicle, samples, variants=False).turnings)
+    except DataError as error:
+        return {"note": f"no replay model of the torque: {error}"}
+    return {"rollouts": rollouts, "shown": beats_blind(rollouts)}
 
 
 def _predictors(loaded: Sequence[tuple[str, Any]], vehicle: Vehicle) -> list[Predictor]:

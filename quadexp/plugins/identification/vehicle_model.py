@@ -44,6 +44,7 @@ from quadexp.names import named
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.inflow import fit_inflow, momentum_of
 from quadexp.plugins.identification.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples, thrust_columns
+from quadexp.plugins.identification.torque_gain import TorqueGain
 from quadexp.plugins.logs.samples import Samples, gather_to_fit
 
 KINDS = ("linear", "quadratic", "blade_element")
@@ -62,7 +63,8 @@ _OFFSET = (("offset",), ("offset",), ())
 class VehicleModel(Model, frozen=True, tag="vehicle_model"):
     """thrust: the curve. linear, quadratic, blade_element: see the module. best: kind with the least held-out error.
 
-    notes: models that could not be fitted, and why. Of the model's record,
+    notes: models that could not be fitted, and why. torque: gain of the rotors' torque (torque_gain.py), None where the
+    flights do not show it. Of the model's record,
     vehicle: {name, fingerprint, mass}, None where unknown; dataset: also the names of the flights.
     """
 
@@ -72,6 +74,7 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
     blade_element: TermModel | None
     best: str
     notes: tuple[str, ...] = ()
+    torque: TorqueGain | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -111,7 +114,8 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
         """See Model.residual. part: a kind, or "best"."""
         mean = TermMean(self.model(part), vehicle.mass)
-        return term_residual(vehicle, mean.structure, mean.parameters, source, torque=True)
+        gain = [None] * 3 if self.torque is None else self.torque.used
+        return term_residual(vehicle, mean.structure, mean.parameters, source, torque=gain)
 
     def described(self, report: Callable[[], Mapping[str, Any]]) -> tuple[dict[str, Any], list[str]]:
         """See Model.described: coefficients with intervals, and models compared."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
-from quadexp.cli.command import Answer, Ask, Force, Out, command, file_rows, single_values
+from quadexp.cli.command import Answer, Ask, Conf, Force, Out, command, file_rows, single_values
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
 from quadexp.names import without
@@ -148,6 +148,7 @@ def compare(
     others: Annotated[tuple[Path, ...], Ask("Others of the same kind, each compared with the first.", "FILE")],
     out: Annotated[Path | None, Ask("Draw them too: a png, pdf or svg.", "PATH", "--out -o")] = None,
     force: Force = False,
+    conf: Conf = (),
 ) -> Answer:
     """Show how flights, results or checkpoints differ: configuration, outcome, figures.
 
@@ -155,6 +156,7 @@ def compare(
     quadexp compare runs/a.parquet runs/b.parquet runs/c.parquet --out compare.png
     quadexp compare results/table1 results/table1_again
     """
+    from quadexp.parts.options import given_folders
     from quadexp.plugins.page.compare import compare as compared
     from quadexp.report.checked import check_flights
     from quadexp.report.frame import read_results
@@ -163,6 +165,7 @@ def compare(
         from quadexp.report.style import check_path
 
         out = check_path(out, force)
+    given_folders(conf)
     report = compared(first, *others)
     if out is not None:
         from quadexp.plugins.page.draw import comparison_figure

@@ -31,7 +31,7 @@ from quadexp.names import named
 from quadexp.plugins.page.compare import names_of
 from quadexp.plugins.page.document import sortable_page
 from quadexp.plugins.page.view import SUCCESS, Axis, Place, View, value_text, view
-from quadexp.report.frame import SweepFrame, read_results
+from quadexp.report.frame import SweepFrame, read_results, unit_of
 from quadexp.report.pairing import SOURCE
 from quadexp.report.paper_cells import Point
 from quadexp.report.style import (
@@ -159,8 +159,10 @@ def label_of(view: View, line: Place, names: Mapping[str, str]) -> str:
             if len(alike) == 1 and "controller" in view.by:
                 continue
             text = view.title((key,), (value,)) or ("" if "controller" in view.by else "no checkpoint")
+        elif key == "controller":
+            text = str(value)
         else:
-            text = str(value) if key == "controller" else f"{names.get(key, key.rpartition('.')[2])}={value}"
+            text = f"{names.get(key, key.rpartition('.')[2])}={value} {unit_of(key)}".strip()
         parts.append(names.get(value_text(key, value), text))
     return " ".join(filter(None, parts))
 

@@ -100,10 +100,11 @@ class BelievedWorld:
         self._left = left | named(("X_in", "U_in"), mpc.reference if self._in_place else wide)
         self.reset(None)
 
-    def retime(self, node_times: np.ndarray) -> None:
-        """Use other times of the reference, (k,) (s) from the measurement on, from the next step on."""
-        settings = self._mpc.settings
-        self._places["times"][...], self._places["since"][...] = node_times, settings.dead_time + settings.node_times
+    @property
+    def times(self) -> dict[str, np.ndarray]:
+        """Arrays of the times of the reference, (k,), and of the nodes, (N + 1,), from the measurement on (s); they may
+        change from one step to the next."""
+        return {name: self._places[name] for name in ("times", "since")}
 
     def reset(self, begin: np.ndarray | None) -> None:
         """Begin a flight in the world of the model, after the MPC did. begin: first state of the estimator."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Out, Overrides, command
+from quadexp.errors import UsageError
 
 HEADING = "Extend"
 
@@ -40,37 +41,55 @@ def export_controller(
 
 @command
 def fly(
-    target: Annotated[str, Ask("udp:HOST:PORT, where the autopilot sends to.", "TARGET")],
+    target: Annotated[str, Ask("betaflight, or udp:HOST:PORT, where a PX4 sends to.", "TARGET")],
     overrides: Overrides = (),
-    thrust: Annotated[str, Ask("hover=SHARE, full, or curve=FACTOR.", "MAP")] = "full",
-    rates: Annotated[str, Ask("predicted, or inverse=X,Y,Z: gains of its rate loop (1/s).", "RATES")] = "predicted",
-    arm: Annotated[bool, Ask("Arm it, too.")] = False,
-    vehicle_is_real: Annotated[bool, Ask("Addresses off this machine are meant: a vehicle may move.")] = False,
-    lockstep: Annotated[bool, Ask("Every state is one instant of the reference: for simulators that wait.")] = False,
+    rates: Annotated[str, Ask("udp: predicted, or inverse=X,Y,Z, its rate loop's gains (1/s).", "RATES")] = "predicted",
+    thrust: Annotated[str, Ask("udp: hover=SHARE, full, or curve=FACTOR.", "MAP")] = "full",
+    arm: Annotated[bool, Ask("udp: arm it, too.")] = False,
+    vehicle_is_real: Annotated[bool, Ask("udp: addresses off this machine are meant: a vehicle may move.")] = False,
+    lockstep: Annotated[bool, Ask("udp: every state is one instant of the reference: simulators that wait.")] = False,
+    firmware: Annotated[Path | None, Ask("betaflight: its SITL, which you build.", "PROGRAM")] = None,
+    rc_rate: Annotated[float, Ask("betaflight: pulses are sent (Hz); 0: with every command.", "HZ")] = 0.0,
+    rc_steps: Annotated[int, Ask("betaflight: resolution of a stick's throw.", "COUNT")] = 1000,
+    ahead: Annotated[float, Ask("betaflight: for which predicted rates are sent (s).", "TIME")] = 0.03,
     out: OptionalOut = None,
     conf: Conf = (),
     force: Force = False,
 ) -> Answer:
-    """Fly an autopilot over MAVLink: its state in, body rates and thrust out; the flight is written like any other.
+    """Fly through a flight stack: body rates and thrust out; the flight is written like any other.
 
-    It has met a stand-in autopilot only, never a real PX4. Keep a hand on the kill switch.
+    betaflight: its simulation build in lockstep, with the bench's plant; link=latency link.latency=0.02 is its radio.
+    udp: an autopilot over MAVLink, which sends its state. It has met a stand-in only, never a real PX4: keep a hand on
+    the kill switch.
 
     \b
+    quadexp fly betaflight --firmware betaflight_4.6.0_SITL controller=gp_mpc model=models/gp horizon=precise
     quadexp fly udp:127.0.0.1:14540 controller=gp_mpc model=models/gp trajectory=circle trajectory.speed=4 --arm
     quadexp fly udp:127.0.0.1:14540 controller=geometric --rates inverse=25,25,10 --thrust hover=0.5
     """
     from quadexp.log.store import write_flight
-    from quadexp.plugins.vehicle.mavlink.session import Asked, fly_mavlink
     from quadexp.writer import check_output
 
     path = None if out is None else check_output(out, force=force)
-    asked = Asked(thrust, rates, arm, vehicle_is_real, lockstep)
-    flight = fly_mavlink(target, overrides, conf, asked)
+    if target == "betaflight":
+        if (rates, thrust) != ("predicted", "full") or arm or vehicle_is_real or lockstep:
+            raise UsageError("fly betaflight: --rates, --thrust, --arm, --vehicle-is-real, --lockstep are for udp")
+        from quadexp.plugins.vehicle.betaflight.flight import Radio, fly_betaflight
+        from quadexp.report.summary import flight_lines
+
+        flight = fly_betaflight(overrides, conf, Radio(rc_rate, rc_steps, ahead), firmware)
+        about = flight.metadata
+        record, lines = dict(about["row"]), [*flight_lines(about), f"firmware    {about['autopilot']}"]
+    else:
+        if firmware is not None or rc_rate:
+            raise UsageError(f"fly {target}: --firmware and --rc-rate are for betaflight")
+        from quadexp.plugins.vehicle.mavlink.session import Asked, fly_mavlink
+
+        flight = fly_mavlink(target, overrides, conf, Asked(thrust, rates, arm, vehicle_is_real, lockstep))
+        about, latency = flight.metadata, flight.metadata["latency_ms"]
+        record = {"outcome": about["outcome"], "cause": about["cause"], "steps": len(flight), "latency_ms": latency}
+        lines = [f"outcome     {about['outcome']} {about['cause']}".rstrip(), f"steps       {len(flight)}"]
+        lines.append(f"answers     median {latency['p50']:.2f} ms, 99 % {latency['p99']:.2f} ms")
     written = [] if path is None else [write_flight(path, flight, force=force)]
-    about = flight.metadata
-    latency = about["latency_ms"]
-    record = {"outcome": about["outcome"], "cause": about["cause"], "steps": len(flight), "latency_ms": latency}
-    lines = [f"outcome     {about['outcome']} {about['cause']}".rstrip(), f"steps       {len(flight)}"]
-    lines += [f"answers     median {latency['p50']:.2f} ms, 99 % {latency['p99']:.2f} ms", *map(str, written)]
     wrong = [] if about["outcome"] == "ok" else [about["cause"]]
-    return Answer(record, [record | latency], lines, failed=wrong)
+    return Answer(record, [record], [*lines, *map(str, written)], failed=wrong)

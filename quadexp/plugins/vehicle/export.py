@@ -37,7 +37,7 @@ from quadexp.provenance import versions
 from quadexp.writer import check_output, write_folder
 
 MANIFEST = "model.json"
-FORMAT = 1  # of the folder
+FORMAT = 2  # of the folder
 REPLAY = {"double": 1e-9, "float": 0.02}  # N, of a step on recorded inputs
 PATHS = {"double": 1e-9, "float": 1.0}  # m, between the path of the bench and that of C
 ERRORS = {"double": 1e-6, "float": 0.01}  # share of the mean tracking error
@@ -259,7 +259,7 @@ def manifest(
 ) -> dict[str, str | bytes]:
     """What the bench needs to fly the folder: settings, versions, the hash of every file; and the model of the air of
     its references."""
-    residual = controller.residual
+    residual, plan = controller.residual, controller.running.instant.plan
     air: dict[str, Any] = {}
     if residual is not None:
         air = {"name": residual.name, "source": residual.source, "theta": residual.theta.tolist()}
@@ -274,6 +274,7 @@ def manifest(
         "rotors": controller.vehicle.n_rotors,
         "period": controller.control_period,
         "node_times": [float(t) for t in controller.node_times],
+        "states": 0 if plan is None else plan.mpc.step.form.states,
         "knows": controller.name,
         "source": controller.source,
         "air": air,

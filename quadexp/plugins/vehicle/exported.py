@@ -105,14 +105,15 @@ class ExportedController:
 
     @property
     def rates(self) -> np.ndarray | None:
-        """Body rates that an MPC predicts for its next node, (3,) (rad/s); None of a law."""
+        """Body rates of now and those that an MPC predicts for its next node, (2, 3) (rad/s); None of a law."""
         function = getattr(self._library, f"{self.about['prefix']}_rates")
         function.restype = ctypes.c_void_p
-        place = function()
+        place, states = function(), self.about["states"]
         if place is None:
             return None
         kind = ctypes.c_double if self._real == np.float64 else ctypes.c_float
-        return np.array((kind * 3).from_address(place), float)
+        rows = (kind * (states + 3)).from_address(place - states * self._real.itemsize)
+        return np.array([rows[:3], rows[states:]], float)
 
     def _given(self, values: Any) -> np.ndarray | None:
         return None if values is None else np.ascontiguousarray(values, self._real)

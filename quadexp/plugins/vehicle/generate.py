@@ -123,7 +123,6 @@ def program(controller: Any, names: Names, start: tuple[ca.Function | None, list
             arrays.add_all(operation.function.results.values(), written=True, cleared=True)
     if instant.plan is not None:
         mpc = instant.plan.mpc
-        mpc.step.arguments["shift"][...] = mpc._shift
         solved = ("x0", "X", "U", "X_ref", "U_ref", "guess")
         for name, array in mpc.step.arguments.items():
             arrays.add(array, written=name in (*solved, "shift"), cleared=name in solved, changed=name in CHANGEABLE)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from quadexp.compile.symbolic import ca
 from quadexp.control.instant import run
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.dead_time import DeadTimePredictor
@@ -14,7 +15,7 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.physics.rigid_body import corrected_function
-from quadexp.plugins.auto.ahead import CommandsAhead
+from quadexp.plugins.auto.ahead import CommandsAhead, prediction_numbers, span_weights
 from quadexp.plugins.identification.from_model import FromModelPlant
 from quadexp.plugins.margins.loop_margins import hover_loop
 from quadexp.reference.circle import Circle
@@ -225,7 +226,12 @@ def test_the_prediction_that_may_change_is_that_of_fixed_times(vehicle, rng, dea
         fixed.predict(np.eye(13)[3])
         run(fixed.after(u))
         fixed.memory.commit()
-    free.tune(dead_time, lag, commands)
+    free.sent.values[...] = commands[-len(free.sent.values) :]
+    weights = span_weights(len(free.sent.values), settings.control_period)
+    numbers = prediction_numbers(weights, free.ahead.parts, 0.0, dead_time, dead_time, lag)
+    numbers.append(weights([dead_time, dead_time, dead_time, lag]))
+    for array, values in zip([*free.ahead.tuned, free.delivered.tuned], numbers, strict=True):
+        array[...] = np.array(ca.DM(values)).T.reshape(array.shape)
     x = np.r_[1.0, 2, 3, 1, 0, 0, 0, 2, -1, 0.5, 0.3, 0.2, -0.4]
     ours, theirs = free.predict(x), fixed.predict(x)
     assert len(ours) == 17 and np.abs(ours[: len(theirs)] - theirs).max() < 2e-3  # the thrusts always stand behind

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -12,7 +14,7 @@ from quadexp.control.instant import Told, run
 from quadexp.models.residual import no_residual
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.plugins.auto.bank import Bank, first_order_gain, stationary_gain
-from quadexp.plugins.auto.posterior import Evidence
+from quadexp.plugins.auto.posterior import BETWEEN, FOUND, NEVER, STEPS, Search
 from quadexp.plugins.auto.responses import command_weights, reading_weights, tails
 from quadexp.plugins.auto.settings import BANK
 
@@ -25,8 +27,41 @@ def bank_of(vehicle, **about):
     return Bank(vehicle, model, np.zeros(model.function.size1_in(1)), PERIOD, "interpreted", **about)
 
 
-def posterior(bank):
-    return Evidence(bank, "interpreted")()
+class Posterior(NamedTuple):
+    """Of age, total and lag (s), see posterior.FOUND; odds and at_end of the coarse grid."""
+
+    mean: np.ndarray
+    deviation: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    newer: float
+    best: float
+    age_odds: float
+    total_odds: float
+    at_end: bool
+
+
+def posterior(bank, backend="interpreted"):
+    """As the instants of a flight look for it: see decide.py."""
+    odds, found = None, []
+    for against in BANK.rates_odds, (*BANK.rates_odds[:2], NEVER):
+        search = Search(bank, backend, {"searches": np.ones(1), "refines": np.ones(1)}, np.array(against))
+        search.coarse()
+        odds = odds or [search.left[name].copy() for name in ("odds", "at_end")]
+        for _ in range(BANK.passes):
+            centre = search.left["mode"].copy()
+            search.fine()
+            run([search.moved()])
+            if (np.abs(search.found["mode"] - centre) < STEPS - 1e-9).all():
+                break
+        found.append([search.found[name].copy() for name in FOUND])
+        if search.left["rates"] != BETWEEN:
+            break
+    mean, deviation, lower, upper, newer, best = max(found, key=lambda one: one[-1])
+    (age_odds, total_odds), at_end = odds
+    upper[at_end > 0] = np.inf
+    at_end = bool(at_end[:2].any())
+    return Posterior(mean, deviation, lower, upper, newer.item(), best.item(), age_odds, total_odds, at_end)
 
 
 def spin_of(vehicle):
@@ -225,7 +260,7 @@ def test_a_posterior_is_a_pure_function_of_the_moments(vehicle):
 
 def test_a_posterior_in_c_is_that_of_the_virtual_machine(vehicle):
     bank = flown(vehicle, age=0.012, dead_time=0.01, lag=0.02, steps=100)
-    for one, two in zip(posterior(bank), Evidence(bank, "compiled")(), strict=True):
+    for one, two in zip(posterior(bank), posterior(bank, "compiled"), strict=True):
         assert two == pytest.approx(one, rel=1e-9)
 
 

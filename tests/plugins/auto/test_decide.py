@@ -4,21 +4,26 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
+from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.plugins.auto.decide import Decision, Senses, decide, grids
-from quadexp.plugins.auto.posterior import Posterior
+from quadexp.plugins.auto.decide import NOTHING, Decision, Senses, decided, grids
 from quadexp.plugins.auto.settings import DECISION
 
-GRIDS = DECISION.grids
+GRIDS, NO_SENSES = DECISION.grids, Senses()
 
 
 def found(age=0.0, total=0.0, lag=0.0, *, sd=0.0005, age_odds=0.0, total_odds=0.0, at_end=False):
-    mean = np.array([age, total, lag])
-    upper = np.full(3, np.inf) if at_end else mean + 2 * sd
-    return Posterior(mean, np.full(3, sd), np.maximum(mean - 2 * sd, 0), upper, age_odds, total_odds, False)
+    given = {"mean": [age, total, lag], "deviation": [sd] * 3, "newer": 0.0, "odds": [age_odds, total_odds]}
+    return {name: ca.DM(value) for name, value in given.items()} | {"at_end": ca.DM([at_end, False, False])}
+
+
+def decide(of, last=NOTHING, senses=NO_SENSES):
+    """What is decided, as numbers; of: None before there is evidence."""
+    known = of is not None
+    made = decided(ca.DM(known), of or found(), Decision(*map(ca.DM, last)), Senses(*map(ca.DM, senses)))
+    return Decision(*map(float, made))
 
 
 def test_delays_act_from_their_bayes_factors_on():
@@ -26,47 +31,51 @@ def test_delays_act_from_their_bayes_factors_on():
     for age in (0.005, 0.03):  # a short one looks like how forces go between readings
         needed = DECISION.age_odds * (1 + DECISION.between / age)
         for odds, acted in ((needed - 1, 0.0), (needed + 1, age)):
-            assert decide(found(age=age, age_odds=odds), Decision(), Senses()).age == acted
+            assert decide(found(age=age, age_odds=odds), NOTHING, NO_SENSES).age == acted
     for odds, acted in ((DECISION.total_odds - 1, 0.0), (DECISION.total_odds + 1, 0.04)):
-        assert decide(found(total=0.04, lag=0.03, total_odds=odds), Decision(), Senses()).total == pytest.approx(acted)
+        assert decide(found(total=0.04, lag=0.03, total_odds=odds), NOTHING, NO_SENSES).total == pytest.approx(acted)
 
 
 def test_a_decision_is_a_pure_function_of_what_is_known():
-    known, last, senses = found(age=0.01, total=0.02, lag=0.01, age_odds=20, total_odds=9), Decision(grid=2), Senses()
+    known, last, senses = (
+        found(age=0.01, total=0.02, lag=0.01, age_odds=20, total_odds=9),
+        NOTHING._replace(grid=2),
+        NO_SENSES,
+    )
     first = decide(known, last, senses)
-    decide(found(age=0.05, age_odds=20), Decision(), Senses(saturated=0.9))
+    decide(found(age=0.05, age_odds=20), NOTHING, Senses(saturated=0.9))
     assert decide(known, last, senses) == first
 
 
 def test_small_changes_of_what_is_known_change_nothing():
-    first = decide(found(total=0.04, lag=0.03, total_odds=9), Decision(), Senses())
+    first = decide(found(total=0.04, lag=0.03, total_odds=9), NOTHING, NO_SENSES)
     assert (first.dead_time, first.lag) == pytest.approx((0.01, 0.03))
-    again = decide(found(total=0.0402, lag=0.031, total_odds=9), first, Senses())
+    again = decide(found(total=0.0402, lag=0.031, total_odds=9), first, NO_SENSES)
     assert (again.dead_time, again.lag) == (first.dead_time, first.lag)
-    assert decide(found(total=0.05, lag=0.031, total_odds=9), again, Senses()).total == pytest.approx(0.05)
+    assert decide(found(total=0.05, lag=0.031, total_odds=9), again, NO_SENSES).total == pytest.approx(0.05)
 
 
 def test_the_grid_gets_stiffer_step_by_step_and_softer_at_once():
-    decision, levels = Decision(), []
+    decision, levels = NOTHING, []
     for _ in range(5):
-        decision = decide(found(), decision, Senses())
+        decision = decide(found(), decision, NO_SENSES)
         levels.append(decision.grid)
     assert levels == [1, 2, 3, 4, 4]
-    assert decide(found(sd=0.004), decision, Senses()).grid == 2
+    assert decide(found(sd=0.004), decision, NO_SENSES).grid == 2
     assert decide(found(), decision, Senses(position=2 * DECISION.large_noise)).grid == 3
-    assert decide(found(total=0.03, total_odds=9), decision, Senses()).grid == 3
+    assert decide(found(total=0.03, total_odds=9), decision, NO_SENSES).grid == 3
     assert decide(found(), decision, Senses(saturated=2 * DECISION.saturated)).grid == DECISION.middle
 
 
 def test_what_may_be_any_later_is_flown_on_the_softest_grid():
     """With what is known acted on: acting on nothing loses the vehicle."""
-    late = decide(found(age=0.09, age_odds=50, at_end=True), Decision(grid=3), Senses())
+    late = decide(found(age=0.09, age_odds=50, at_end=True), NOTHING._replace(grid=3), NO_SENSES)
     assert (late.age, late.grid) == (0.09, 0)
 
 
 def test_a_disturbance_without_other_evidence_ends_the_softest_grid():
-    assert decide(None, Decision(), Senses()).grid == 0
-    assert decide(None, Decision(), Senses(acts=True)).grid == 1
+    assert decide(None, NOTHING, NO_SENSES).grid == 0
+    assert decide(None, NOTHING, Senses(acts=True)).grid == 1
 
 
 def test_no_grid_is_softer_than_what_was_asked_for():

@@ -31,14 +31,15 @@ class Watched:
     def __init__(self, vehicle, *, by_speeds=False, timing=0.0):
         model = no_residual(vehicle)
         known = sources(vehicle, SensorSheet(accelerometer=Stated(NOISE)), 0.0, by_speeds=by_speeds)
-        self.filter = DisturbanceFilter(vehicle, model, model.theta, PERIOD, "interpreted", known)
+        told = {"lateral": np.array([NOISE**2]), "noise": np.zeros(3)}
+        told |= {"timing": np.array([timing]), "apart": np.zeros(1)}
+        self.about = told
+        self.filter = DisturbanceFilter(vehicle, model, model.theta, PERIOD, "interpreted", known, told)
         hover = np.full(vehicle.n_rotors, vehicle.hover_thrust)
         self.told = {"x": np.eye(13)[3].copy(), "reading": np.zeros(3), "thrust": hover, "mean": hover.copy()}
-        self.told |= {"lateral": np.array([NOISE**2]), "noise": np.zeros(3)}
         self.read, self.k = np.zeros(1), 0
         self.operations = self.filter.before(self.told, self.read)
         self.filter.reset(self.told["x"])
-        self.filter.timing[0] = timing
         self.vehicle = vehicle
 
     def step(self, acceleration, read=True):
@@ -112,7 +113,7 @@ def test_a_torque_needs_age_and_delays_that_are_told_apart(vehicle):
     """Two of 96 wider draws were lost by a torque that swung with the vehicle: of 44 ms of age 6 were believed."""
     for apart, found in ((2 * DISTURBANCE.torque_timed, False), (0.0, True)):
         watched = Watched(vehicle)
-        watched.filter.apart[0] = apart
+        watched.about["apart"][0] = apart
         for k in range(60):
             watched.told["x"][RATE] = 0.02 * k, 0.0, 0.0  # 1 rad/s^2 that no command asks for
             watched.step(np.zeros(3))

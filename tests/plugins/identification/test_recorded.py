@@ -100,6 +100,10 @@ def test_tracking_finds_a_scale_from_the_past_alone():
     later = y.copy()
     later[2000:] += 5
     assert np.array_equal(tracked_scale(c, later, 0.01)[:2001], g[:2001])  # no sample is used for itself or before
+    ground = np.zeros(1500)
+    on_ground_first = tracked_scale(np.concatenate([ground, c]), np.concatenate([ground + 9.81, y]), 0.01)
+    assert (on_ground_first[:1501] == 1.0).all() and on_ground_first[1500:] == pytest.approx(g, rel=1e-12)
+    assert (tracked_scale(ground, ground, 0.01) == 1.0).all()
 
 
 def test_validation_scores_are_the_known_errors(flights):

@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.plugins.identification import torque
-from quadexp.plugins.identification.torque import Turning
+from quadexp.plugins.identification.torque import TorqueData
+from quadexp.plugins.identification.turning import Turning
 from tests.models.recorded_flights import crazyflie
 
 H = 0.01  # s
@@ -71,12 +72,12 @@ def test_rollouts_of_the_true_constants_are_exact():
 
 def test_flights_with_motors_show_it_and_without_do_not():
     vehicle = crazyflie()
-    shown = torque.judged([turning(seed) for seed in range(2)], vehicle)
+    shown = torque.judged(TorqueData(None, [[turning(seed) for seed in range(2)]]), vehicle)
     assert shown["shown"]
     assert torque.DOES_NOT_SHOW not in " ".join(shown["lines"])
     for row in shown["axes"]:
         assert row["model_rms"] < 0.6 * row["held_rms"]
-    hidden = torque.judged([turning(seed, works=0.0, noise=3.0) for seed in range(2)], vehicle)
+    hidden = torque.judged(TorqueData(None, [[turning(seed, works=0.0, noise=3.0) for seed in range(2)]]), vehicle)
     assert not hidden["shown"]
     assert torque.DOES_NOT_SHOW in hidden["lines"][-1]
 

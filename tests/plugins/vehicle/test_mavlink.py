@@ -13,9 +13,10 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.schema import Flight
 from quadexp.loop import controller
 from quadexp.physics.rotation import rotation_matrix
-from quadexp.plugins.vehicle.mavlink.frames import ThrustMap, rate_gain, swapped, thrust_map, turned, wanted_rates
+from quadexp.plugins.vehicle.mavlink.frames import ThrustMap, swapped, thrust_map, turned
 from quadexp.plugins.vehicle.mavlink.link import address
 from quadexp.plugins.vehicle.mavlink.session import Asked, fly_mavlink
+from quadexp.plugins.vehicle.rates import rate_gain, wanted_rates
 from tests.plugins.vehicle.stand_in import StandIn
 
 PATH = ("trajectory=circle", "trajectory.speed=4", "trajectory.acceleration=2", "trajectory.radius=2")
@@ -104,7 +105,7 @@ def test_other_targets_are_refused(target: str) -> None:
 
 def test_predicted_rates_need_a_prediction() -> None:
     pytest.importorskip("pymavlink")
-    with pytest.raises(UsageError, match="predicts none"):
+    with pytest.raises(UsageError, match="predicts no body rates"):
         fly_mavlink("udp:127.0.0.1:1", ["controller=geometric", *PATH], None, Asked())
 
 

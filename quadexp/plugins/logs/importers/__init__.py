@@ -125,7 +125,8 @@ def read_log(path: Path, form: str, mapping: Mapping | None) -> RawLog:
     table = open_table(path) if kind == "csv" else None
     if table is None or mapping.format != table.format:
         kind = kind if table is None else table.format
-        raise DataError(f"{path}: its content is {kind}, the mapping {mapping.name} is for {mapping.format}")
+        said = f"{path}: its content is {kind}, the mapping {mapping.name} is for {mapping.format}"
+        raise DataError(f"{said}; its key is `format: {kind}`")
     return read_mapped(table, mapping)
 
 

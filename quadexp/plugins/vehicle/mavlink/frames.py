@@ -1,13 +1,8 @@
 """Between world east north up, body forward left up, rotor thrusts, and what MAVLink says of them.
 
-    north east down -> east north up      P = (y, x, -z)
-    forward right down -> forward left up  F = (x, -y, -z)
-    attitude                               q_P q q_F, half a turn about (1, 1, 0) and about x
-
-Rates that an autopilot's rate loop alpha = K (w* - w) turns into the angular acceleration of rotor thrusts u, in the
-mean over a control period h, in which w comes nearer to w*:
-
-    w* = w + h (1 - exp(-K h))^-1 J^-1 (tau - w x J w),    tau = G_tau u
+north east down -> east north up      P = (y, x, -z)
+forward right down -> forward left up  F = (x, -y, -z)
+attitude                               q_P q q_F, half a turn about (1, 1, 0) and about x
 """
 
 from __future__ import annotations
@@ -101,27 +96,3 @@ def thrust_map(text: str, vehicle: Vehicle) -> ThrustMap:
     if name == "curve" and 0 <= number <= 1:
         return ThrustMap(full, number)
     raise UsageError(f"--thrust {text}: must be hover=SHARE (0 to 1), full, or curve=FACTOR (0 to 1)")
-
-
-def rate_gain(text: str) -> np.ndarray | None:
-    """K of inverse=X,Y,Z (1/s), (3,); None for predicted."""
-    name, _, value = text.partition("=")
-    if text == "predicted":
-        return None
-    try:
-        gain = np.array([float(number) for number in value.split(",")])
-    except ValueError:
-        gain = np.zeros(0)
-    if name != "inverse" or gain.shape != (3,) or not (np.isfinite(gain) & (gain > 0)).all():
-        raise UsageError(f"--rates {text}: must be predicted, or inverse=X,Y,Z with the gains of the rate loop (1/s)")
-    return gain
-
-
-def wanted_rates(vehicle: Vehicle, x: np.ndarray, thrusts: np.ndarray, gain: np.ndarray, period: float) -> np.ndarray:
-    """Body rates (3,) (rad/s) with which the rate loop gives the torque of these thrusts, (n,) (N), over a period (s).
-
-    gain: K, (3,) (1/s)."""
-    J, rate = vehicle.inertia_matrix, x[RATE]
-    torque = vehicle.allocation[1:] @ thrusts - np.cross(rate, J @ rate)
-    share = -np.expm1(-gain * period)  # of the way to w* in a period
-    return rate + period * np.linalg.solve(J, torque) / share

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.control.base import Measurement
-from quadexp.control.wrapped import innermost
-from quadexp.errors import QuadexpError, UsageError
+from quadexp.errors import QuadexpError
 from quadexp.experiment.evaluate import describe
 from quadexp.experiment.identity import find_model
 from quadexp.experiment.rollout import _Log
@@ -26,16 +25,9 @@ from quadexp.parts.compose import compose
 from quadexp.parts.options import Folders
 from quadexp.physics.rotation import heading
 from quadexp.physics.state import ATTITUDE, POSITION
-from quadexp.plugins.vehicle.mavlink.frames import (
-    FLIPPED,
-    ThrustMap,
-    odometry_state,
-    parts_state,
-    rate_gain,
-    thrust_map,
-    wanted_rates,
-)
+from quadexp.plugins.vehicle.mavlink.frames import FLIPPED, ThrustMap, odometry_state, parts_state, thrust_map
 from quadexp.plugins.vehicle.mavlink.link import Link, address
+from quadexp.plugins.vehicle.rates import Rates, rates_of
 
 OFFBOARD = 6  # main mode of PX4
 RATES = 128  # type_mask: no attitude beside the rates
@@ -63,11 +55,9 @@ def fly_mavlink(target: str, overrides: Sequence[str], conf: Folders, asked: Ask
     host, port = address(target, asked.real)
     config = compose(list(overrides), conf, "fly")
     loop = controller(*overrides, conf=conf)
-    gain = rate_gain(asked.rates)
-    if gain is None and not hasattr(innermost(loop.controller), "mpc"):
-        raise UsageError("--rates predicted: this controller predicts none; give --rates inverse=X,Y,Z")
+    rates = rates_of(asked.rates, loop.controller)
     shares = thrust_map(asked.thrust, loop.vehicle)
-    session = Session(loop, Link(host, port, asked.real), asked, gain, shares, config.trajectory.lost_distance)
+    session = Session(loop, Link(host, port, asked.real), asked, rates, shares, config.trajectory.lost_distance)
     try:
         session.prepare()
         outcome, cause = session.fly()
@@ -84,14 +74,14 @@ def fly_mavlink(target: str, overrides: Sequence[str], conf: Folders, asked: Ask
 
 
 class Session:
-    """One flight. gain: of the rate loop; None: rates are predicted. shares: of thrust. far: m from the reference,
+    """One flight. rates: see rates.py. shares: of thrust. far: m from the reference,
     beyond which it is lost. times, ages: of the rows of the log, and between the arrival of a state and its answer (s).
     """
 
     def __init__(
-        self, loop: ControlLoop, link: Link, asked: Asked, gain: np.ndarray | None, shares: ThrustMap, far: float
+        self, loop: ControlLoop, link: Link, asked: Asked, rates: Rates, shares: ThrustMap, far: float
     ) -> None:
-        self.loop, self.link, self.asked, self.gain = loop, link, asked, gain
+        self.loop, self.link, self.asked, self.rates = loop, link, asked, rates
         self.shares, self.far = shares, far
         self.kinds, self.ages, self.times = link.messages, list[float](), list[float]()
         self.log = _Log(len(loop.times), loop.vehicle.n_rotors, 0, False)
@@ -203,9 +193,7 @@ class Session:
                 return "solver_failed", str(failure)
             if loop.failed:
                 return "solver_failed", f"the control step failed at t={loop.times[k]:.2f} s"
-            rates = loop.rates if self.gain is None else wanted_rates(loop.vehicle, x, thrusts, self.gain, loop.period)
-            assert rates is not None
-            self._answer(rates, float(thrusts.sum()), round(1e3 * stamp))
+            self._answer(self.rates(x, thrusts), float(thrusts.sum()), round(1e3 * stamp))
             self.ages.append(time.monotonic() - arrived)
             self._keep(k, x, thrusts)
 

@@ -1,0 +1,75 @@
+"""Stretches of flights as the torque sees them: rates, and over each interval torque, rotor speeds, velocity."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.identification.thrust_curve import ThrustCurve
+from quadexp.plugins.logs.samples import QUATERNION, FlightRows
+
+LEAST = 6.0  # s of a stretch
+AXES = ("roll", "pitch", "yaw")
+OTHER = (1, 0, None)  # axis of the velocity that makes the blades flap
+
+
+class Turning(NamedTuple):
+    """A stretch of a flight without gaps. rate: (k, 3), rad/s. attitude: k of them. Of the interval from each sample to
+    the next: torque (k - 1, 3) N m, spin (k - 1,) S, velocity (k - 1, 3) body m/s. flight: its number. dt: s."""
+
+    rate: np.ndarray
+    attitude: Rotation
+    torque: np.ndarray
+    spin: np.ndarray
+    velocity: np.ndarray
+    flight: int
+    dt: float
+
+    @property
+    def acceleration(self) -> np.ndarray:
+        """w', (k - 1, 3), rad/s^2."""
+        return np.diff(self.rate, axis=0) / self.dt
+
+    def columns(self, axis: int, *, motors: bool = True) -> np.ndarray:
+        """Torque (with motors), one and flapping, (k - 1, p)."""
+        parts = [self.torque[:, axis]] if motors else []
+        parts.append(np.ones(len(self.spin)))
+        other = OTHER[axis]
+        if other is not None:
+            parts.append(self.spin * self.velocity[:, other])
+        return np.column_stack(parts)
+
+    def damped(self, axis: int) -> np.ndarray:
+        """-S w, (k - 1,)."""
+        return -self.spin * (self.rate[:-1, axis] + self.rate[1:, axis]) / 2
+
+    def part(self, first: int, last: int) -> Turning:
+        """Samples first .. last - 1."""
+        inner = slice(first, last - 1)
+        rows = {name: getattr(self, name)[inner] for name in ("torque", "spin", "velocity")}
+        return self._replace(rate=self.rate[first:last], attitude=self.attitude[first:last], **rows)
+
+
+def turnings(rows: FlightRows, curve: ThrustCurve, vehicle: Vehicle, flight: int, mean_speed: float) -> list[Turning]:
+    """The stretches of a flight that are long enough. mean_speed: sum of the rotor speeds that S is relative to."""
+    samples = rows.samples
+    rotors = curve.of_signal(samples.signal, samples.voltage)
+    ahead = samples.during(rotors)
+    mean = ahead[:-1] if samples.held.all() and not curve.lag else (ahead[:-1] + ahead[1:]) / 2
+    spin = speed_of(mean) / mean_speed
+    velocity = (samples.velocity[:-1] + samples.velocity[1:]) / 2
+    attitude = Rotation.from_quat(rows.flight.stack(QUATERNION)[rows.first :], scalar_first=True)
+    torque = vehicle.mass * mean @ vehicle.allocation[1:].T
+    whole = Turning(rows.rate, attitude, torque, spin, velocity, flight, rows.dt)
+    breaks = (np.diff(samples.time) > 1.5 * rows.dt) | (np.diff(samples.segment) != 0)
+    ends = [0, *(np.flatnonzero(breaks) + 1), len(samples)]
+    pairs = zip(ends[:-1], ends[1:], strict=True)
+    return [whole.part(first, last) for first, last in pairs if (last - first) * rows.dt > LEAST]
+
+
+def speed_of(rotors: np.ndarray) -> np.ndarray:
+    """Sum of the rotor speeds, each the root of its thrust, (k,)."""
+    return np.sqrt(np.maximum(rotors, 0.0)).sum(axis=1)

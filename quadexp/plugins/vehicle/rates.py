@@ -1,0 +1,70 @@
+"""Body rates for a flight stack, from what a controller commands: predicted, or those that give its torque.
+
+Rates that a rate loop alpha = K (w* - w) turns into the angular acceleration of rotor thrusts u, in the mean over a
+control period h, in which w comes nearer to w*:
+
+    w* = w + h (1 - exp(-K h))^-1 J^-1 (tau - w x J w),    tau = G_tau u
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from quadexp.control.wrapped import innermost
+from quadexp.errors import UsageError
+from quadexp.physics.state import RATE
+from quadexp.physics.vehicle import Vehicle
+
+Rates = Callable[[np.ndarray, np.ndarray], np.ndarray]  # state (13,), thrusts (n,) (N) -> rates (3,) (rad/s)
+
+
+def rates_of(text: str, controller: Any) -> Rates:
+    """Of --rates TEXT for the step that a controller has just made. Raises UsageError for another text."""
+    gain = rate_gain(text)
+    if gain is None:
+        return predicted_rates(controller)
+    return lambda x, thrusts: wanted_rates(controller.vehicle, x, thrusts, gain, controller.control_period)
+
+
+def predicted_rates(controller: Any, ahead: float | None = None) -> Rates:
+    """Those that an MPC predicts for so long from now (s), between its first two nodes; None: for the second.
+
+    Raises UsageError for a controller that predicts none."""
+    core = innermost(controller)
+    if not hasattr(core, "mpc") and getattr(core, "rates", None) is None:
+        raise UsageError("this controller predicts no body rates; an MPC does, or over MAVLink --rates inverse=X,Y,Z")
+    share = 1.0 if ahead is None else ahead / (core.node_times[1] - core.node_times[0])
+
+    def predicted(x: np.ndarray, thrusts: np.ndarray) -> np.ndarray:
+        now, later = core.mpc.prediction[0][:2, RATE] if hasattr(core, "mpc") else core.rates
+        rates: np.ndarray = now + share * (later - now)
+        return rates
+
+    return predicted
+
+
+def rate_gain(text: str) -> np.ndarray | None:
+    """K of inverse=X,Y,Z (1/s), (3,); None for predicted."""
+    name, _, value = text.partition("=")
+    if text == "predicted":
+        return None
+    try:
+        gain = np.array([float(number) for number in value.split(",")])
+    except ValueError:
+        gain = np.zeros(0)
+    if name != "inverse" or gain.shape != (3,) or not (np.isfinite(gain) & (gain > 0)).all():
+        raise UsageError(f"--rates {text}: must be predicted, or inverse=X,Y,Z with the gains of the rate loop (1/s)")
+    return gain
+
+
+def wanted_rates(vehicle: Vehicle, x: np.ndarray, thrusts: np.ndarray, gain: np.ndarray, period: float) -> np.ndarray:
+    """Body rates (3,) (rad/s) with which the rate loop gives the torque of these thrusts, (n,) (N), over a period (s).
+
+    gain: K, (3,) (1/s)."""
+    J, rate = vehicle.inertia_matrix, x[RATE]
+    torque = vehicle.allocation[1:] @ thrusts - np.cross(rate, J @ rate)
+    share = -np.expm1(-gain * period)  # of the way to w* in a period
+    return rate + period * np.linalg.solve(J, torque) / share
