@@ -15,7 +15,7 @@ from quadexp.plugins.logs.from_file import FileTrajectory, read_positions
 from quadexp.reference.circle import Circle
 from tests.reference.test_polynomial import VEHICLES, shares
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 INTERPRETED = ["plant.backend=interpreted", "controller.backend=interpreted"]
 TWO = "x,y,z\n0,0,1\n3,0,2\n"
 LOOP = "x,y,z\n0,0,1\n6,0,1\n6,5,3\n-1,5,2\n0,0,1\n"
