@@ -119,7 +119,7 @@ def _prune(folder: Path, filters: Sequence[str], remove: bool) -> Answer:
 
 
 def _verify(folder: Path) -> Answer:
-    from quadexp.sweeps.verify import verify_results
+    verify_results = service("verify_results", "--verify")
 
     with Progress("files") as progress:
         checked = verify_results(folder, progress)
@@ -156,9 +156,7 @@ def show(
     quadexp show --cite results/table1
     """
     if cite:
-        from quadexp.report.cite import bibtex
-
-        text = bibtex(path, conf)
+        text = service("bibtex", "--cite")(path, conf)
         return Answer({"bibtex": text}, [{"bibtex": text}], text.splitlines())
     if out is not None and not beliefs:
         raise UsageError(f"--out {out}: only beliefs are drawn: give --beliefs")

@@ -94,7 +94,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/plugins/remedies/indi.py": ("tests/plugins/remedies/test_indi.py",),
     "quadexp/plugins/remedies/l1.py": ("tests/plugins/remedies/test_l1.py",),
     "quadexp/control/allocation.py": ("tests/control/test_allocation.py", "tests/control/laws/test_desaturation.py"),
-    "quadexp/control/laws/dfbc.py": ("tests/control/test_dfbc.py",),
+    "quadexp/plugins/laws/dfbc.py": ("tests/plugins/laws/test_dfbc.py",),
     "quadexp/control/laws/[!r]*.py": ("tests/control/laws",),
     "quadexp/control/mpc/step.py": STEP,
     "quadexp/control/mpc/attitude_error.py": STEP,
