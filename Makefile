@@ -19,7 +19,7 @@ $(STAMP): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install -qq --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	touch $(STAMP)
 
-# simulate -> collect -> fit -> evaluate on a small sweep; with the set-up 2:45 min on two cores (measured).
+# simulate -> collect -> fit -> evaluate on a small sweep; with the set-up three to four minutes on two cores.
 quick: $(STAMP)
 	$(QUADEXP) simulate controller=nominal_mpc trajectory=circle trajectory.speed=8 --out runs/quick.parquet --force
 	$(QUADEXP) collect --out data/residuals.parquet --force

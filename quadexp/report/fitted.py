@@ -53,6 +53,9 @@ def _broken(text: str, room: float) -> list[str]:
 def _rooms(table: Table, width: float) -> list[float]:
     """Width of every column (pt): of numbers as they need it, of labels what is left beside the widest of these."""
     cells = [[str(row[i]) for row in table.rows] for i in range(len(table.columns))]
+    whole = [max(map(text_width, [heading, *column])) for heading, column in zip(table.columns, cells, strict=True)]
+    if sum(whole) + GAP * (len(whole) - 1) <= width:
+        return whole
     rooms = []
     for heading, column in zip(table.columns, cells, strict=True):
         widest = max(map(text_width, column), default=0.0)

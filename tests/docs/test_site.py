@@ -81,6 +81,7 @@ def test_every_page_keeps_its_lines_and_its_equations_are_typeset():
         ]
         shown = build.typeset(made)
         assert "```math" not in shown and "merror" not in shown
+        assert not re.search(r"<m[inot]+>\\", shown), f"{page.name}: a command that is not known"
         equations += shown.count("<math")
     assert equations > 15
 
