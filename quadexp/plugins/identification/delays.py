@@ -3,7 +3,7 @@
 Simulated flights know their commands as thrusts: dead time and lag are those by the accelerometer and the turning rates
 (timing.py) where these tell, else those that a data set of `quadexp collect` takes (rotor_thrust.py).
 Logs have commands of any unit: dead time and lag of the measured rotor speeds behind them where there are such, else of
-the specific force (models/command_lag.py). The age needs no commands.
+the specific force (plugins/logs/command_lag.py). The age needs no commands.
 """
 
 from __future__ import annotations
