@@ -27,11 +27,11 @@ from scipy.spatial.transform import Rotation
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.messages import yaml
-from quadexp.models.command_lag import find_lag
-from quadexp.models.samples import gather, gather_to_fit
 from quadexp.plugins.identification.vehicle_model import FitSettings, fit_vehicle_model
+from quadexp.plugins.logs.command_lag import find_lag
 from quadexp.plugins.logs.import_flights import Outcome, import_files
 from quadexp.plugins.logs.importers import Options
+from quadexp.plugins.logs.samples import gather, gather_to_fit
 from quadexp.plugins.logs.signal.windows import STREAMS
 
 GRAVITY = 9.81  # m/s^2

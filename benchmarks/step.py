@@ -49,13 +49,13 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference
 from quadexp.loop import ControlLoop
-from quadexp.models.gaussian_process import gaussian_process_residual, mean_only
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import Residual, no_residual
 from quadexp.parts.compose import compose
 from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.gaussian_process.gaussian_process import gaussian_process_residual, mean_only
 from quadexp.plugins.papers.lei_li.blade_element import blade_element_residual
 from quadexp.plugins.papers.lei_li.plant import BladeElementPlant
 from quadexp.reference.circle import Circle

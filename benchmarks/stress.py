@@ -22,12 +22,12 @@ from benchmarks.machine import machine
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import TOLERANCE, ModelPredictiveController
 from quadexp.errors import QuadexpError
-from quadexp.models.gaussian_process import gaussian_process_residual, mean_only
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import Residual, no_residual
 from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.gaussian_process.gaussian_process import gaussian_process_residual, mean_only
 from quadexp.plugins.papers.lei_li.blade_element import blade_element_residual
 
 STEPS_EACH = 4

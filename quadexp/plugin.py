@@ -21,7 +21,7 @@ What a place must be:
     papers     a module with what quadexp/report/paper.py asks for
     readers    a module, or another object, with what quadexp/plugins/logs/importers/readers asks for
     sections   a function of a Page (quadexp/plugins/page/report)
-    exports    a function as `quadexp export` calls it for models and vehicles (quadexp/cli/look.py)
+    exports    a function as `quadexp export` calls it for models and vehicles (quadexp/plugins/exchange)
 
 A name of this program is looked for first, so that what ships needs no look at what is installed. That look reads the
 files entry_points.txt of sys.path itself: importlib.metadata, which does the same, takes as long to import as all the
@@ -51,19 +51,13 @@ BRINGS: dict[str, dict[str, str]] = {
         "fit-gp": "quadexp.cli.learn:fit_gp",
         "fit-drag": "quadexp.cli.learn:fit_drag",
         "show": "quadexp.cli.look:show",
-        "compare": "quadexp.cli.look:compare",
         "results": "quadexp.cli.look:results",
-        "export": "quadexp.cli.look:export",
         "options": "quadexp.cli.extend:options",
         "new": "quadexp.cli.extend:new",
         "cache": "quadexp.cli.extend:cache",
     },
     "parts": {},
-    "models": {
-        "coefficients": "quadexp.models.coefficients",
-        "linear_drag": "quadexp.models.linear_drag",
-        "gaussian_process": "quadexp.models.gaussian_process",
-    },
+    "models": {"coefficients": "quadexp.models.coefficients", "linear_drag": "quadexp.models.linear_drag"},
     "api": {},
     "tables": {},
     "services": {},

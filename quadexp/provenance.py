@@ -192,12 +192,24 @@ def shipped_modules(folder: Path) -> dict[str, Path]:
     return modules
 
 
+def served(*names: str) -> set[str]:
+    """The modules of services of plug-ins, of those that are there."""
+    services = shipped_places("services")
+    return {services[name].partition(":")[0] for name in names if name in services}
+
+
+@cache
+def flying() -> frozenset[str]:
+    """The modules that fly every cell."""
+    return frozenset({FLYING, *served("loop_margins")})
+
+
 @cache
 def _deciding_modules(folder: Path) -> dict[str, Path]:
     """Those that can decide a number: of what reports one, only what makes a row."""
     modules = shipped_modules(folder)
-    flying, _ = follow([FLYING], modules.get)
-    return {name: path for name, path in modules.items() if name in flying or _room(name) not in REPORTS}
+    followed, _ = follow(flying(), modules.get)
+    return {name: path for name, path in modules.items() if name in followed or _room(name) not in REPORTS}
 
 
 def _room(module: str) -> str:
@@ -249,7 +261,7 @@ def sources() -> str:
     modules, parts = shipped_modules(folder), shipped_places("parts").values()
     rooms = {name for name in modules if _room(name) in ROOMS}
     rooms |= {name for name in modules if any(f"{name}.".startswith(f"{place}.") for place in parts)}
-    return program_of(frozenset({FLYING, *rooms, *model_modules(folder)})).sources
+    return program_of(frozenset({*flying(), *rooms, *model_modules(folder)})).sources
 
 
 @cache

@@ -294,10 +294,9 @@ def fit(
 
 # --------------------------------------------------------------------------------------------------------------- look
 def margins(words: Overrides, conf: Folders = None) -> list[dict[str, Any]]:
-    """What a loop tolerates at points along its path, see experiment.loop_margins.path_margins. words: overrides, and
+    """What a loop tolerates at points along its path, see the service `path_margins`. words: overrides, and
     in front of them the file of a flight, whose recorded settings they change."""
     from quadexp.experiment.identity import find_model
-    from quadexp.experiment.loop_margins import path_margins
     from quadexp.parts.compose import session
 
     with session(conf) as composer:
@@ -312,4 +311,5 @@ def margins(words: Overrides, conf: Folders = None) -> list[dict[str, Any]]:
                 raise UsageError(f"{words[0]}: a flight without a record of its settings (a recorded one?): give these")
             words = recorded_words(composer, about["config"], words[1:], about.get("classes") or {})
         config = composer.compose(words)
-    return path_margins(config, find_model(config))
+    rows: list[dict[str, Any]] = service("path_margins", "show --margins")(config, find_model(config))
+    return rows

@@ -130,7 +130,7 @@ def rng() -> np.random.Generator:
 @pytest.fixture
 def unmeasured(monkeypatch) -> None:
     """The margins of no loop are computed: of what remedies are around, that takes longer than the flight."""
-    monkeypatch.setattr("quadexp.experiment.evaluate.loop_margins", lambda *_: {"unknown": "not asked for"})
+    monkeypatch.setattr("quadexp.plugins.margins.loop_margins.loop_margins", lambda *_: {"unknown": "not asked for"})
 
 
 @pytest.fixture

@@ -34,7 +34,20 @@ FLOORS = (
 )
 # Floors of the plug-ins, above all of the core, which imports nothing from them.
 PLUGIN_FLOORS = (
-    ("page", "remedies", "tune", "worlds", "foreign", "cluster", "neural", "exchange", "logs"),
+    ("laws",),
+    (
+        "remedies",
+        "tune",
+        "worlds",
+        "foreign",
+        "cluster",
+        "neural",
+        "gaussian_process",
+        "exchange",
+        "logs",
+        "margins",
+    ),  # fmt: skip
+    ("page",),
     ("papers", "auto", "bench", "gym", "vehicle", "archive", "check"),
     ("identification",),
     ("public",),

@@ -22,8 +22,8 @@ from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.log.store import read_flight, write_flight
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.dataset import residual_dataset
-from quadexp.models.gaussian_process import GPConfig, fit_gp, gaussian_process_residual
 from quadexp.parts.compose import compose
+from quadexp.plugins.gaussian_process.gaussian_process import GPConfig, fit_gp, gaussian_process_residual
 from quadexp.report.tables import error_table
 from quadexp.world.simplified import PlantEffects, SimplifiedPlant
 from tests.composing import _from_nothing  # noqa: F401 - whose composer knows options that others composed
@@ -49,9 +49,9 @@ LANDMARKS = {
     "store": ("log.store.write_table",),
     "read": ("log.store.read_table",),
     "data set": ("physics.rigid_body.state_derivative",),
-    "fit": ("models.sgpr.loss",),
+    "fit": ("plugins.gaussian_process.sgpr.loss",),
     "checkpoint": ("models.checkpoint.plain", "models.checkpoint.record_of"),
-    "air": ("models.gaussian_process.gaussian_process_residual",),
+    "air": ("plugins.gaussian_process.gaussian_process.gaussian_process_residual",),
     "step": ("control.mpc.mpc.stages_of", "control.mpc.node.linearise_function"),
     "row": ("report.metrics.flight_metrics",),
     "table": ("report.inference.mean_interval",),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Overrides, command, file_rows
+from quadexp.cli.command import Answer, Ask, Conf, Force, Overrides, command
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
 from quadexp.names import named, without
@@ -119,7 +119,7 @@ def _prune(folder: Path, filters: Sequence[str], remove: bool) -> Answer:
 
 
 def _verify(folder: Path) -> Answer:
-    from quadexp.sweeps.verify import verify_results
+    verify_results = service("verify_results", "--verify")
 
     with Progress("files") as progress:
         checked = verify_results(folder, progress)
@@ -156,9 +156,7 @@ def show(
     quadexp show --cite results/table1
     """
     if cite:
-        from quadexp.report.cite import bibtex
-
-        text = bibtex(path, conf)
+        text = service("bibtex", "--cite")(path, conf)
         return Answer({"bibtex": text}, [{"bibtex": text}], text.splitlines())
     if out is not None and not beliefs:
         raise UsageError(f"--out {out}: only beliefs are drawn: give --beliefs")
@@ -203,90 +201,3 @@ def _margins(words: Sequence[str], conf: Sequence[Path]) -> Answer:
     texts = [[f"{factor * row[name]:.{digits}f}" for name, (factor, digits) in units.items()] for row in rows]
     heading = ["t (s)", "speed (m/s)", "more delay (ms)", "more motor lag (ms)", "growth (1/s)"]
     return Answer({"margins": rows}, rows, [Table(heading, texts, left=frozenset())])
-
-
-@command
-def compare(
-    first: Annotated[Path, Ask("A flight, results folder, or checkpoint folder.")],
-    others: Annotated[tuple[Path, ...], Ask("Others of the same kind, each compared with the first.", "FILE")],
-    out: Annotated[Path | None, Ask("Draw them too: a png, pdf or svg.", "PATH", "--out -o")] = None,
-    force: Force = False,
-    conf: Conf = (),
-) -> Answer:
-    """Show how flights, results or checkpoints differ: configuration, outcome, figures.
-
-    \b
-    quadexp compare runs/a.parquet runs/b.parquet runs/c.parquet --out compare.png
-    quadexp compare results/table1 results/table1_again
-    """
-    from quadexp.parts.options import given_folders
-    from quadexp.report.checked import check_flights
-    from quadexp.report.compare import compare as compared
-    from quadexp.report.frame import read_results
-
-    if out is not None:
-        from quadexp.report.style import check_path
-
-        out = check_path(out, force)
-    given_folders(conf)
-    report = compared(first, *others)
-    if out is not None:
-        from quadexp.report.style import save_figure
-
-        figure = service("comparison_figure", f"--out {out}")
-        save_figure(figure(report["kind"], [first, *others]), out, force=force)
-    checked = {str(p): check_flights(*read_results(p)[:2]) for p in (first, *others) if report["kind"] == "results"}
-    wrong = [f"{folder}: {line}" for folder, files in checked.items() for line in files.lines(beside=False)]
-    for line in wrong:
-        say(f"warning: {line}")
-    record = without(report, ("lines", "tables"))
-    record |= {"picture": out} if out else {}
-    record |= {"checked": [f"{folder}: {files.text()}" for folder, files in checked.items()] + wrong}
-    return Answer(record, report["tables"], [*report["lines"], *([out] if out else [])])
-
-
-@command
-def export(
-    source: Annotated[str, Ask("A flight; or a model of `quadexp identify` or `fit`; or vehicle=NAME.", "SOURCE")],
-    to: Annotated[str, Ask("A flight: csv, tum, rerun. A model or a vehicle: see above.", "FORMAT", "--to")],
-    out: OptionalOut = None,
-    vehicle: Annotated[str | None, Ask("Vehicle of a model that does not say it.", "NAME")] = None,
-    voltage: Annotated[float | None, Ask("Battery voltage at which the numbers hold.", "V")] = None,
-    motor_lag: Annotated[float | None, Ask("Time constant of the motors.", "S")] = None,
-    firmware: Annotated[str | None, Ask("Version of the autopilot's firmware.", "VERSION")] = None,
-    conf: Conf = (),
-    force: Force = False,
-) -> Answer:
-    """Write a flight, or the numbers of a model or vehicle, for other programs.
-
-    A flight: csv, tum, rerun (extra [viz]). A model or a vehicle: px4, px4_sih, ardupilot, betaflight; sdf, rotorpy,
-    crazyflow, gym_pybullet, mjcf, agilicious; casadi, c. Their files say the origin and the 95 % interval of every
-    number, and what the program cannot represent.
-
-    \b
-    quadexp export runs/a.parquet --to csv --out a.csv
-    quadexp export models/crazyflie --to px4 --voltage 3.9 --out crazyflie.params
-    quadexp export vehicle=hummingbird --to rotorpy --motor-lag 0.005
-    """
-    from quadexp.log.exporters import FORMATS, export_flight
-    from quadexp.plugin import brought, places
-
-    options = {"vehicle": vehicle, "voltage": voltage, "motor_lag": motor_lag, "firmware": firmware}
-    others = ", ".join(places("exports"))
-    form = brought("exports", to)
-    if form is not None:
-        if source.endswith(".parquet"):
-            of_flight = ", ".join(FORMATS)
-            raise UsageError(f"--to {to}: is for a model's folder or vehicle=NAME; flights are written as {of_flight}")
-        files, record, lines = form(source, out=out, conf=conf, force=force, **options)
-        return Answer(record, record["numbers"], [*lines, *files.values()])
-    if to not in FORMATS:
-        of_model = f"; a model or a vehicle as {others}" if others else ""
-        raise UsageError(f"--to {to}: no such format; a flight is written as {', '.join(FORMATS)}{of_model}")
-    if source.startswith("vehicle=") or (Path(source) / "model.json").is_file():
-        raise UsageError(f"--to {to}: is for flights; {source} is none: {others or 'no plug-in writes it'}")
-    for name, value in options.items():
-        if value is not None:
-            raise UsageError(f"--{name.replace('_', '-')}: --to {to} does not use it")
-    files = export_flight(source, to, out, force=force)
-    return Answer({"format": to, "files": files}, file_rows(files), list(files.values()))

@@ -32,7 +32,6 @@ from quadexp.log.store import read_flight, write_flight, write_table
 from quadexp.models.checkpoint import load_model
 from quadexp.models.dataset import ResidualDataset, as_told, known_noise, residual_dataset
 from quadexp.models.residual import VELOCITY
-from quadexp.models.rotor_thrust import fit_timing, mean_thrust
 from quadexp.names import without
 from quadexp.parts.schema import WORLD, Config
 from quadexp.physics.state import norms
@@ -221,7 +220,11 @@ def _simulated_rows(
         return known_noise(rows, vehicle, worlds, of_estimate=settings.state == "estimate")
 
     groups: dict[str, list[int]] = {}  # flights that have lag and delays in common
-    for i, world in enumerate(worlds if settings.thrust == "delivered" else ()):
+    lines: list[str] = []
+    of_rotors = brought("services", "rotor_thrust")
+    if settings.thrust == "delivered" and of_rotors is None:
+        lines.append("warning: commands count as acting at once: no plug-in that is there finds lag and delays")
+    for i, world in enumerate(worlds if settings.thrust == "delivered" and of_rotors else ()):
         groups.setdefault(digest({group: world.get(group) for group in OF_TIMING}), []).append(i)
     timings = []
     timing = brought("services", "timing_of_recorded")
@@ -232,14 +235,13 @@ def _simulated_rows(
         of_group = [flights[i] for i in group]
         of_state = settings.state == "estimate"
         known = timing(of_group, vehicle, of_estimate=of_state) if timing is not None else None
-        timings.append((group, fit_timing(of_group, vehicle, tables, noise=noise, known=known)))
+        timings.append((group, of_rotors.fit_timing(of_group, vehicle, tables, noise=noise, known=known)))
     extra: dict[str, Any] = {}
-    lines: list[str] = []
     if not all(fit.timing.is_ideal for _, fit in timings):
         thrusts = [np.empty(0)] * len(flights)
         for group, fit in timings:
             for i in group:
-                thrusts[i] = mean_thrust(flights[i], vehicle, fit.timing)
+                thrusts[i] = of_rotors.mean_thrust(flights[i], vehicle, fit.timing)
             shown = ", ".join(map(str, group[:4])) + (" .." if len(group) > 4 else "")
             of = "" if len(group) == len(flights) else f"flight{'s' if len(group) > 1 else ''} {shown}: "
             lines.append(f"{of}{fit.line}")

@@ -31,7 +31,6 @@ from quadexp.experiment.identity import (
     identity_with,
     part_identity,
 )
-from quadexp.experiment.loop_margins import instability, loop_margins
 from quadexp.log.runs import longest
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
@@ -39,6 +38,7 @@ from quadexp.parts.schema import Config, controller_name
 from quadexp.parts.settings import record
 from quadexp.physics.state import ATTITUDE, POSITION, STATE_COLUMNS, finite_rows
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugin import brought, service
 from quadexp.provenance import libraries, provenance, sources, versions
 from quadexp.report.metrics import flight_metrics
 
@@ -160,7 +160,7 @@ def below_ground(config: Config, trajectory: Any) -> str:
 
 @dataclass(frozen=True)
 class Loop:
-    """Everything that flies under one configuration. margins: see loop_margins."""
+    """Everything that flies under one configuration. margins: of the service `loop_margins`."""
 
     vehicle: Vehicle
     plant: Any
@@ -203,9 +203,11 @@ def build_loop(config: Config, model: ModelFile | None) -> Loop:
     plant = build_world(config, vehicle)
     check_remedies(config, vehicle, plant)
     controller = build_controller(config, vehicle, plant, model)
-    margins = loop_margins(controller, plant)
-    if unstable := instability(config, margins, vehicle, plant, model):
-        raise InfeasibleError(unstable)
+    margins = {"unknown": "no plug-in that is there computes margins"}
+    if (loop_margins := brought("services", "loop_margins")) is not None:
+        margins = loop_margins(controller, plant)
+        if unstable := service("instability", "margins")(config, margins, vehicle, plant, model):
+            raise InfeasibleError(unstable)
     return Loop(vehicle, plant, controller, margins)
 
 

@@ -33,14 +33,15 @@ from quadexp.parts.settings import declared
 from quadexp.parts.user_modules import OWN, data_of, modules_of
 from quadexp.physics.vehicle import FORMER_NAMES
 from quadexp.provenance import (
-    FLYING,
     content_hash,
+    flying,
     model_modules,
     numeric_versions,
     package_folder,
     package_identity,
     place_hash,
     program_of,
+    served,
     sources,
 )
 
@@ -49,7 +50,8 @@ FLIGHT_GROUPS = ("vehicle", "plant", "sensor", "trajectory", "controller")
 # Keys that plants of some kinds had, and the values that flights of today stand for: hashes and noise stay.
 FORMER_KEYS = {"simplified": {"payload": 0.0}, "blade_element": {"payload": 0.0}}
 MODEL_FILE = "model.json"
-FITTING = (f"{OWN}.experiment.collect", f"{OWN}.experiment.fit")  # make a model of flights
+FITTING = (f"{OWN}.experiment.collect", f"{OWN}.experiment.fit")  # make a model of flights, with these services
+FITTING_SERVICES = ("rotor_thrust", "timing_of_recorded")
 _CLASSES = itertools.count()
 MAKER = "quadexp identify FLIGHT... --out models/NAME"  # of a model that is flown as the truth
 
@@ -308,7 +310,7 @@ def identity_with(
         record["model"] = None  # a checkpoint that is not used decides nothing
     inputs = {"model": model.sha256} if model else {}
     files = {f"{file.path}/{MODEL_FILE}": file.sha256 for file in model.files} if model else {}
-    modules, packages = {FLYING, *(FITTING if fitted else ())}, set[str]()
+    modules, packages = {*flying(), *((*FITTING, *served(*FITTING_SERVICES)) if fitted else ())}, set[str]()
     for group, part in {**parts, **_own_models(config, model)}.items():
         if (group, id(part)) not in known:
             deciding = decides(group, part)
@@ -352,7 +354,7 @@ def _program(modules: frozenset[str], packages: frozenset[str], with_model: bool
     """Hash of the sources of this package and of the libraries that some modules are made of; and the packages that not
     every flight imports. packages: that a user's modules import. with_model: whether a checkpoint is read, by the
     module that it names; what this one imports for a fit decides no flight."""
-    program, always = program_of(modules), program_of(frozenset({FLYING})).packages
+    program, always = program_of(modules), program_of(flying()).packages
     readers = model_modules(package_folder()) if with_model else set()
     behind = [program_of(modules | readers).sources, platform.python_version()]
     libraries = numeric_versions(program.packages | packages)

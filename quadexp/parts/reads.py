@@ -15,7 +15,7 @@ from quadexp.parts.models import GROUP
 from quadexp.parts.schema import BUNDLES, PRESETS, REMEDIES, WORLD, Config
 from quadexp.parts.settings import find, shown
 
-CONTROLLER = " ".join(("controller remedies", *PRESETS, *REMEDIES))
+CONTROLLER = " ".join(("controller timing remedies", *PRESETS, *REMEDIES))
 LOOP = " ".join(("vehicle plant model seed", CONTROLLER, *WORLD, *BUNDLES))
 FLIGHT = f"{LOOP} trajectory"
 ENGINE = "engine evaluate.workers evaluate.timeout evaluate.memory"

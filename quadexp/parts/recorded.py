@@ -15,6 +15,7 @@ from quadexp.parts.override import in_grammar
 from quadexp.parts.part import Part
 from quadexp.parts.schema import BUNDLES, PARTS, PRESETS
 from quadexp.parts.settings import declared, flat, plain
+from quadexp.parts.timing import TIMES, told_keys
 from quadexp.parts.user_modules import OWN
 
 
@@ -35,6 +36,9 @@ def recorded_words(
     for preset in PRESETS.keys() & options.keys():
         for name in composer.options(preset):
             options |= dict.fromkeys(flat({PRESETS[preset]: composer.option(preset, name).values}), "")
+    for name in TIMES:
+        if f"timing.{name}" in options:  # it counts for what was recorded of each part
+            options |= dict.fromkeys(told_keys(name), "")
     words: list[str] = []
     for key, value in record.items():
         if key in options or value is None:

@@ -61,6 +61,7 @@ class Config(Settings):
     adaptive: Any
     inner: Any
     delay: Any
+    timing: Any
     collect: Any
     engine: Any
     evaluate: EvaluateConfig = key(EvaluateConfig(), "how a comparison is run and shown")
@@ -101,7 +102,7 @@ def of_contestant(key: str) -> bool:
 
     "results" is the folder that a flight of several results comes from."""
     group = key.partition(".")[0]
-    return PRESETS.get(group, group) in ("controller", "model", "remedies", *REMEDIES, "results")
+    return PRESETS.get(group, group) in ("controller", "model", "timing", "remedies", *REMEDIES, "results")
 
 
 def remedies(config: Config) -> dict[str, Any]:

@@ -104,8 +104,8 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
 
 
 def margin_line(margins: Mapping[str, Any] | None) -> str:
-    """What a loop tolerates beyond what it was flown with; "" where no record says. margins: see
-    experiment.loop_margins."""
+    """What a loop tolerates beyond what it was flown with; "" where no record says. margins: of
+    the service `loop_margins`."""
     if not margins:
         return ""
     if why := margins.get("unknown"):

@@ -15,11 +15,11 @@ from quadexp.control.wrapped import layers
 from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world, unshared
 from quadexp.experiment.compiled_flight import covers
 from quadexp.experiment.evaluate import fly_one
-from quadexp.experiment.linearised import UnknownLoopError
-from quadexp.experiment.loop_margins import loop_margins
 from quadexp.experiment.rollout import SampledReference
 from quadexp.parts.compose import compose
 from quadexp.parts.options import OptionFiles
+from quadexp.plugins.margins.linearised import UnknownLoopError
+from quadexp.plugins.margins.loop_margins import loop_margins
 from quadexp.plugins.remedies.l1 import L1
 from tests.control.held import Held
 

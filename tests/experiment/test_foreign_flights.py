@@ -41,7 +41,7 @@ def test_a_crazyflie_that_nobody_told_of_its_motors_stays_on_the_ground():
     with pytest.raises(UsageError) as refused:
         fly_one(compose(CRAZYFLIE))
     assert "motors that lag by 136 ms" in str(refused.value) and "is not stable at hover" in str(refused.value)
-    assert "controller.motor_lag=0.136 at this rate and horizon" in str(refused.value)
+    assert "timing.motor_lag=0.136 at this rate and horizon" in str(refused.value)
     assert mean_error(*CRAZYFLIE, "controller.motor_lag=0.136") < 150
     with pytest.raises(UsageError, match="lag by 136 ms"):
         collect_dataset(compose(CRAZYFLIE), None)

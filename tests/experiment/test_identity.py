@@ -20,10 +20,10 @@ from quadexp.experiment.identity import flight_identity
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight
 from quadexp.parts.compose import compose, expand
+from quadexp.plugins.archive.verify import verify_results
 from quadexp.sweeps.engine import Task, fly_as_planned
 from quadexp.sweeps.plan import plan_cells
 from quadexp.sweeps.sweep import run_sweep
-from quadexp.sweeps.verify import verify_results
 from tests.plugins.cluster.test_dask import make_checkpoint
 from tests.sweeps.cells import quick_cell
 

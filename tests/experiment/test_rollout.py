@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import quadexp as qx
-from quadexp.control.laws.dfbc import FlatnessBased
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.evaluate import fly_one
@@ -13,6 +12,7 @@ from quadexp.models.residual import no_residual
 from quadexp.parts.compose import compose
 from quadexp.physics.rotation import heading
 from quadexp.physics.state import ATTITUDE
+from quadexp.plugins.laws.dfbc import FlatnessBased
 from quadexp.reference.circle import Circle
 from quadexp.reference.flatness import flat_reference
 from quadexp.reference.hover import Hover

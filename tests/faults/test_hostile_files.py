@@ -20,8 +20,8 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_table, write_flight, write_table
 from quadexp.messages import clean
 from quadexp.models.checkpoint import MODEL_FILE, load_model, load_report, save_model
-from quadexp.models.gaussian_process import GPConfig, fit_gp
 from quadexp.physics.state import STATE_COLUMNS, input_columns
+from quadexp.plugins.gaussian_process.gaussian_process import GPConfig, fit_gp
 from quadexp.plugins.logs.importers.table import open_table
 from tests.faults.command import ROOT, START, apart, one_line, run
 from tests.models.synthetic import synthetic_dataset

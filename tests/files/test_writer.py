@@ -156,7 +156,7 @@ ELSEWHERE = {
     "quadexp.writer": "the writer",
     "quadexp.compile.backend": "a lock, and what is compiled, in a private folder",
     "quadexp.log.cell_store": "a lock",
-    "quadexp.log.exporters": "in a private folder",
+    "quadexp.plugins.exchange.flights": "in a private folder",
     "quadexp.report.style": "hands what it is given on to matplotlib",
 }
 WAYS = re.compile(

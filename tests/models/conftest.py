@@ -1,6 +1,6 @@
 import pytest
 
-from quadexp.models.gaussian_process import GPConfig, GPModel, fit_gp
+from quadexp.plugins.gaussian_process.gaussian_process import GPConfig, GPModel, fit_gp
 from tests.models.synthetic import synthetic_dataset
 
 

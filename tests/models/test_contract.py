@@ -6,8 +6,8 @@ import pytest
 
 from quadexp.models.base import AXIS
 from quadexp.models.checkpoint import load_model, plain, record_of, save_model
-from quadexp.models.gaussian_process import GPConfig, GPModel
 from quadexp.models.linear_drag import DragConfig, LinearDrag
+from quadexp.plugins.gaussian_process.gaussian_process import GPConfig, GPModel
 from quadexp.plugins.neural.neural import NeuralModel, NNConfig
 from tests.models.synthetic import synthetic_dataset
 from tests.models.test_dataset import VEHICLE

@@ -8,7 +8,6 @@ from quadexp.errors import DataError
 from quadexp.models.base import feature_ranges, outside_shares
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.gaussian_process import GPConfig, fit_gp
 from quadexp.models.linear_drag import fit_linear_drag
 from quadexp.models.verdict import (
     evaluate,
@@ -20,6 +19,7 @@ from quadexp.models.verdict import (
     verdict,
     verdict_lines,
 )
+from quadexp.plugins.gaussian_process.gaussian_process import GPConfig, fit_gp
 from quadexp.plugins.page.model_figures import curve, moved
 from tests.models.synthetic import synthetic_dataset
 

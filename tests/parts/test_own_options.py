@@ -17,7 +17,7 @@ from quadexp.plugins.bench.commands import _controllers
 from tests.cli.command import run
 
 QUICK = ("plant=ideal", "trajectory=hover", "trajectory.duration=0.2")
-MODULE = "from quadexp.control.laws.geometric import Geometric\n\n\nclass {name}(Geometric):\n    pass\n"
+MODULE = "from quadexp.plugins.laws.geometric import Geometric\n\n\nclass {name}(Geometric):\n    pass\n"
 
 
 @pytest.fixture
@@ -131,7 +131,7 @@ def test_it_is_flown_and_said_once_and_a_flight_shows_the_class(own_pid, tmp_pat
         flights[bool(words)] = run("show", out)[1]
     assert notes[0].startswith("note: controller=pid: ") and str(own_pid / "controller" / "pid.yaml") in notes[0]
     assert "class       controller: my_pid_of_a_test.MyPID" in flights[True]
-    assert "class       controller: quadexp.control.laws.cascade.Cascade" in flights[False]
+    assert "class       controller: quadexp.plugins.laws.cascade.Cascade" in flights[False]
 
 
 def test_workers_of_a_sweep_fly_it(own_pid, tmp_path):

@@ -15,9 +15,9 @@ from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.log.outcome import COMPLETED
 from quadexp.models.checkpoint import save_model
-from quadexp.models.gaussian_process import GPConfig, fit_gp
 from quadexp.parts.compose import compose, session
 from quadexp.parts.schema import Config
+from quadexp.plugins.gaussian_process.gaussian_process import GPConfig, fit_gp
 from quadexp.plugins.neural.neural import NeuralModel
 from quadexp.sweeps.server import start_server
 from tests.models.synthetic import synthetic_dataset

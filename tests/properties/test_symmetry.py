@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from msgspec import structs
 from scipy.spatial.transform import Rotation
 
-from quadexp.models.gaussian_process import gaussian_process_residual
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
+from quadexp.plugins.gaussian_process.gaussian_process import gaussian_process_residual
 from quadexp.plugins.papers.lei_li.plant import BladeElementPlant
 from quadexp.world import SimplifiedPlant
 from tests.properties.strategies import (

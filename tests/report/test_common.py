@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from quadexp.log.store import write_table
+from quadexp.plugins.page.compare import compare
 from quadexp.plugins.page.document import cell_of
 from quadexp.plugins.page.report.answer import answer
 from quadexp.plugins.page.report.sections import numbers, scoreboard
 from quadexp.plugins.page.report.source import read_comparison
 from quadexp.plugins.page.sweep_figures import path_grids
-from quadexp.report.compare import compare
 from quadexp.report.metrics import to_columns
 from quadexp.report.pairing import Flights, common, flew_least, whole
 from quadexp.report.statistics import compute_statistics, overall

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from quadexp.log.store import write_table
+from quadexp.plugins.page.compare import compare
 from quadexp.plugins.page.report.answer import answer
 from quadexp.plugins.page.report.source import read_comparison
-from quadexp.report.compare import compare
 from quadexp.report.inference import holm, sign_flips
 from quadexp.report.metrics import to_columns
 from quadexp.report.statistics import compute_statistics, overall

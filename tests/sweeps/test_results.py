@@ -10,9 +10,9 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_metadata, read_table, write_table
 from quadexp.parts.compose import expand
+from quadexp.plugins.archive.verify import verify_results
 from quadexp.sweeps.results import prune, select
 from quadexp.sweeps.sweep import SweepInterrupted, run_sweep
-from quadexp.sweeps.verify import verify_results
 from tests.cli.command import run
 from tests.sweeps.cells import quick_cell
 from tests.sweeps.quick import kill, start, wait_for

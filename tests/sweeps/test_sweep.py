@@ -13,12 +13,12 @@ from quadexp.experiment.identity import flight_record
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, read_table
 from quadexp.parts.compose import expand
+from quadexp.plugins.archive.verify import verify_results
 from quadexp.sweeps import sweep
 from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.plan import cell_key, flying_order, plan_cells
 from quadexp.sweeps.results import select
 from quadexp.sweeps.sweep import run_sweep
-from quadexp.sweeps.verify import verify_results
 from tests.processes import processes
 from tests.sweeps import cells
 from tests.sweeps.quick import start, wait_for

@@ -9,8 +9,8 @@ import pytest
 from quadexp.errors import UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_table, write_table
+from quadexp.plugins.archive.verify import verify_results
 from quadexp.sweeps.results import select
-from quadexp.sweeps.verify import verify_results
 from tests.cli.command import run
 from tests.sweeps.quick import contents, fly
 

@@ -9,9 +9,9 @@ from scipy.signal import freqz
 from scipy.signal import group_delay as measured_delay
 
 from quadexp.compile.symbolic import ca
-from quadexp.control.laws.cascade import filtered
 from quadexp.physics.low_pass import group_delay, low_pass
 from quadexp.physics.state import RATE
+from quadexp.plugins.laws.cascade import filtered
 from quadexp.world.effect import Effect
 from quadexp.world.sensors import Sensors
 from quadexp.world.world import World

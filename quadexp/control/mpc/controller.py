@@ -9,12 +9,12 @@ import numpy as np
 
 from quadexp.control.base import Belief, Controller, Measurement, Window
 from quadexp.control.instant import InOperations, Instant, Operation, Told, copy
-from quadexp.control.mpc.believed_world import BelievedWorld, Estimator
 from quadexp.control.mpc.dead_time import DeadTimePredictor, MotorLead
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
 from quadexp.models.residual import Residual
 from quadexp.physics.rigid_body import N_DISTURBANCE
 from quadexp.physics.state import N_STATE, POSITION
+from quadexp.plugin import service
 
 SURELY = 1 - 1e-9  # of a distance: what is nearer is nearer in any order of summation
 
@@ -27,7 +27,7 @@ class PredictiveController(InOperations):
 
     def __init__(self, mpc: ModelPredictiveController) -> None:
         self.mpc = mpc
-        self.believed: BelievedWorld | None = None  # made by the first belief
+        self.believed: Any = None  # a world to plan in, made by the first belief (the service `believed_world`)
         self.targets = False  # whether references are recomputed to hold the path in the believed world
         self.vehicle, self.settings, self.backend = mpc.vehicle, mpc.settings, mpc.backend
         self.control_period = mpc.settings.control_period
@@ -73,20 +73,15 @@ class PredictiveController(InOperations):
         Raises QuadexpError where the MPC was made without `disturbed`.
         """
         if self.believed is None:
-            self.believed = BelievedWorld(self.mpc, self.node_times, targets=self.targets, air=self.residual)
+            make = service("believed_world", "a belief of what acts on the vehicle")
+            self.believed = make(self.mpc, self.node_times, targets=self.targets, air=self.residual)
             self._running = None
-        return self.believed.told
+        numbers: np.ndarray = self.believed.told
+        return numbers
 
     def believe(self, belief: Belief) -> None:
         """Plan the next step, and all after it until told otherwise, in the world of a belief."""
         self.believed_numbers[:] = np.hstack([*belief])
-
-    def observed_by(self, estimator: Estimator) -> BelievedWorld:
-        """Plan every step in the world that an estimator finds, which is a part of the step from now on."""
-        self.believed = BelievedWorld(
-            self.mpc, self.node_times, targets=self.targets, air=self.residual, estimator=estimator
-        )
-        return self.believed
 
     def prepare(self, window: Window) -> None:
         """Do what the next step can do before its measurement; `step` with this window, the same object, is faster.

@@ -25,8 +25,8 @@ from typing import Any
 from quadexp.errors import DataError, UsageError
 from quadexp.names import distinct, sha256_of
 from quadexp.parts.settings import read_value
+from quadexp.plugins.archive.cite import bibtex
 from quadexp.provenance import content_hash, folder_files
-from quadexp.report.cite import bibtex
 from quadexp.report.frame import read_results
 from quadexp.report.text import count
 from quadexp.writer import check_output, written

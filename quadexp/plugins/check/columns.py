@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadexp.log.column_names import Groups, groups
 from quadexp.log.runs import period_of
 from quadexp.physics.rotation import continuous
 from quadexp.physics.state import norms
 from quadexp.physics.vehicle import GRAVITY
+from quadexp.plugins.logs.column_names import Groups, groups
 from quadexp.plugins.logs.signal import increasing
 from quadexp.plugins.logs.signal.windows import Windows, changes, means, pairs, window_samples
 

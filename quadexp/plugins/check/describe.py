@@ -18,7 +18,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError
-from quadexp.log.column_names import groups, numbered_quaternion, unit_of
 from quadexp.log.runs import period_of
 from quadexp.messages import printable
 from quadexp.physics.rotation import continuous
@@ -26,6 +25,7 @@ from quadexp.physics.state import norms
 from quadexp.plugins.check.candidates import READINGS, Candidate, flow
 from quadexp.plugins.check.columns import Match, Table
 from quadexp.plugins.check.search import MARGIN, PER_COST, agreement, explain
+from quadexp.plugins.logs.column_names import groups, numbered_quaternion, unit_of
 from quadexp.plugins.logs.importers.mapping import QUANTITIES
 from quadexp.plugins.logs.importers.readers import reader_of
 from quadexp.plugins.logs.importers.table import numbers, open_table

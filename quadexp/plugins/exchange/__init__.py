@@ -7,6 +7,7 @@ descriptions.py (SDF, URDF, MJCF), equations.py. document.py: what stands at the
 _HERE = "quadexp.plugins.exchange"
 
 BRINGS = {
+    "commands": {"export": f"{_HERE}.commands:export"},
     "exports": {
         "px4": f"{_HERE}.autopilots:PX4",
         "px4_sih": f"{_HERE}.autopilots:PX4_SIH",

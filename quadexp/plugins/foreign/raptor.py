@@ -26,13 +26,13 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.control.inputs import Inputs
 from quadexp.control.law import Law
-from quadexp.control.laws.attitude import heading_of
 from quadexp.errors import UsageError
 from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import Expression, limited
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.laws.attitude import heading_of
 from quadexp.provenance import package_identity
 
 HIDDEN, ACTIONS = 16, 4  # widths of the published network

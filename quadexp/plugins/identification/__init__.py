@@ -13,6 +13,7 @@ BRINGS = {
     },
     "services": {
         "recorded_flights": "quadexp.plugins.identification.recorded",
+        "rotor_thrust": "quadexp.plugins.identification.rotor_thrust",
         "timing_of_recorded": "quadexp.plugins.identification.delays:timing_by_accelerometer",
     },
 }

@@ -3,7 +3,7 @@
 Simulated flights know their commands as thrusts: dead time and lag are those by the accelerometer and the turning rates
 (timing.py) where these tell, else those that a data set of `quadexp collect` takes (rotor_thrust.py).
 Logs have commands of any unit: dead time and lag of the measured rotor speeds behind them where there are such, else of
-the specific force (models/command_lag.py). The age needs no commands.
+the specific force (plugins/logs/command_lag.py). The age needs no commands.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from quadexp.errors import DataError, UsageError
 from quadexp.experiment.vehicle_of import own_vehicle, vehicle_named
 from quadexp.log.schema import Flight, is_recorded
 from quadexp.log.store import read_flight
-from quadexp.models.command_lag import CommandLag, find_lag
 from quadexp.models.dataset import as_told, transitions
-from quadexp.models.rotor_thrust import Timing, fit_timing
-from quadexp.models.samples import COMMANDS, READINGS, Samples, gather, rotor_columns
 from quadexp.parts.options import Folders
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.moments import LARGEST_AGE, Moments, Stream
+from quadexp.plugins.identification.rotor_thrust import Timing, fit_timing
 from quadexp.plugins.identification.timing import KNOWN, LARGEST, Delays, Search
+from quadexp.plugins.logs.command_lag import CommandLag, find_lag
+from quadexp.plugins.logs.samples import COMMANDS, READINGS, Samples, gather, rotor_columns
 from quadexp.writer import check_output
 
 EVEN = 1e-3  # share of a period by which samples may be uneven
@@ -239,7 +239,7 @@ def sum_known(late: CommandLag) -> bool:
 
 def _of_commands(dead_time: float, lag: float) -> list[str]:
     commands = {"dead_time": dead_time, "motor_lag": lag}
-    return [f"controller.{key}={value:.3f}" for key, value in commands.items() if value > NOTHING]
+    return [f"timing.{key}={value:.3f}" for key, value in commands.items() if value > NOTHING]
 
 
 def overrides(delays: Delays) -> list[str]:
@@ -248,5 +248,5 @@ def overrides(delays: Delays) -> list[str]:
     if delays.commands_known:
         settings += _of_commands(delays.dead_time, delays.lag)
     if delays.age_known and delays.age > NOTHING:
-        settings += [f"delay={'strapdown' if delays.gyro_fresh else 'prediction'}", f"delay.time={delays.age:.3f}"]
+        settings += [f"delay={'strapdown' if delays.gyro_fresh else 'prediction'}", f"timing.age={delays.age:.3f}"]
     return settings

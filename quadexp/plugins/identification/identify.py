@@ -25,7 +25,6 @@ from quadexp.models.checkpoint import save_model
 from quadexp.models.dataset import WIND, ResidualDataset, by_axis
 from quadexp.models.drag_choice import chosen_drag, compare_drag
 from quadexp.models.residual import THRUST, VELOCITY
-from quadexp.models.samples import QUATERNION, RATES, READINGS, SIGNALS, Samples, gather_to_fit, rotor_columns
 from quadexp.parts.options import Folders
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.inflow import momentum_of
@@ -43,6 +42,7 @@ from quadexp.plugins.identification.vehicle_model import (
     selection,
 )
 from quadexp.plugins.identification.vehicle_numbers import numbers_of
+from quadexp.plugins.logs.samples import QUATERNION, RATES, READINGS, SIGNALS, Samples, gather_to_fit, rotor_columns
 from quadexp.plugins.papers.lei_li.blade_element import Identification, identify_flight
 from quadexp.provenance import provenance, versions
 from quadexp.writer import check_output

@@ -47,9 +47,9 @@ from quadexp.log.schema import Flight, is_recorded
 from quadexp.models.checkpoint import plain
 from quadexp.models.dataset import ResidualDataset, by_axis, joined, transitions
 from quadexp.models.residual import THRUST
-from quadexp.models.samples import QUATERNION, choose_signal, read_rows, rotor_columns
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.thrust_curve import ThrustCurve
+from quadexp.plugins.logs.samples import QUATERNION, choose_signal, read_rows, rotor_columns
 
 MEMORY = 10.0  # s, of the tracked scale
 PRIOR = 0.5  # s

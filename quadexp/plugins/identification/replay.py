@@ -35,7 +35,6 @@ from quadexp.log.runs import longest
 from quadexp.log.schema import Flight, is_recorded
 from quadexp.log.store import read_flight
 from quadexp.models.checkpoint import load_model, load_report, save_model
-from quadexp.models.samples import QUATERNION, FlightRows, read_rows
 from quadexp.parts.options import Folders
 from quadexp.parts.schema import Config, controller_name
 from quadexp.physics.vehicle import Vehicle
@@ -45,6 +44,7 @@ from quadexp.plugins.identification.replay_log import LoggedPath, Noise
 from quadexp.plugins.identification.torque_gain import TorqueGain
 from quadexp.plugins.identification.validation import POINT, WORLD_VELOCITY, Predictor
 from quadexp.plugins.identification.vehicle_model import VehicleModel
+from quadexp.plugins.logs.samples import QUATERNION, FlightRows, read_rows
 from quadexp.provenance import provenance, versions
 from quadexp.writer import check_output, write_text
 
@@ -200,7 +200,7 @@ def logged_path(rows: FlightRows, predictor: Predictor, name: str) -> LoggedPath
 
 
 def write_track(file: Path, path: LoggedPath) -> None:
-    """The path as a sampled track; see quadexp/reference/from_file.py."""
+    """The path as a sampled track; see quadexp/plugins/logs/from_file.py."""
     points = path.position if path.target is None else path.target
     rows = np.column_stack([path.t, points, path.yaw])
     np.savetxt(file, rows, fmt="%.9f", delimiter=",", header="t,p_x,p_y,p_z,yaw", comments="")

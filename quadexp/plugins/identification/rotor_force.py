@@ -28,7 +28,13 @@ from quadexp.models.adapting import Adapting
 from quadexp.models.base import AXIS, Callback, ModelPart, Prediction, Shape, origin, quiet
 from quadexp.models.common_scale import with_common_scale
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.gaussian_process import (
+from quadexp.models.linear_drag import LinearDrag, baseline
+from quadexp.models.residual import FEATURES, VELOCITY, Residual, feature_names, feature_places, residual_function
+from quadexp.models.terms import SELF_CONSISTENT, TermMean, fit_term_mean, fit_terms, term_residual
+from quadexp.parts.settings import SEEDS, key, keyed
+from quadexp.physics.expression import Expression, split, symbols
+from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.gaussian_process.gaussian_process import (
     GPConfig,
     GPFeatures,
     GPModel,
@@ -36,12 +42,6 @@ from quadexp.models.gaussian_process import (
     fit_gp,
     gaussian_process_residual,
 )
-from quadexp.models.linear_drag import LinearDrag, baseline
-from quadexp.models.residual import FEATURES, VELOCITY, Residual, feature_names, feature_places, residual_function
-from quadexp.models.terms import SELF_CONSISTENT, TermMean, fit_term_mean, fit_terms, term_residual
-from quadexp.parts.settings import SEEDS, key, keyed
-from quadexp.physics.expression import Expression, split, symbols
-from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.inflow import AIR_DENSITY, fit_inflow
 
 BULK = 0.01  # quantile of a feature inside which the correction counts fully

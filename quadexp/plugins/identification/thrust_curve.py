@@ -27,8 +27,8 @@ from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.models.base import Record, Rotors, Shape
 from quadexp.models.regression import Regression, half_width, regress
-from quadexp.models.samples import SIGNALS, Samples, late_signal, rotor_columns
 from quadexp.physics.state import root_mean_square
+from quadexp.plugins.logs.samples import SIGNALS, Samples, late_signal, rotor_columns
 
 # Powers of the signal in the curve, and the signals with an intercept by default.
 POWERS = {"motor_command": (1, 2), "rotor_speed": (2,), "thrust_acceleration": (1,), "u": (1,)}
@@ -41,7 +41,7 @@ SEARCH_SAMPLES = 40_000  # used by the search for the exponent; more are thinned
 class ThrustCurve(Record, frozen=True):
     """Thrust of a rotor per vehicle mass as a function of its signal.
 
-    signal: a name in quadexp.models.samples.SIGNALS. powers: exponents. coefficients, errors: the same for all rotors,
+    signal: a name in plugins.logs.samples.SIGNALS. powers: exponents. coefficients, errors: the same for all rotors,
     m/s^2 per signal^power. reference_voltage: V, 0 where the voltage is not used. voltage_exponent: g;
     voltage_exponent_error: 0 where g was not fitted. intercept, intercept_error: m/s^2, sum over all rotors. drag_z,
     drag_z_error: d_z, 1/s (0: not fitted). freedom: degrees of freedom of Student's t. condition: condition number.

@@ -33,13 +33,13 @@ from quadexp.errors import DataError, UsageError
 from quadexp.experiment.vehicle_of import own_vehicle
 from quadexp.log.schema import Flight
 from quadexp.models.regression import half_width, regress
-from quadexp.models.samples import COMMANDS, Samples, gather_to_fit, read_rows
 from quadexp.parts.options import Folders
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.recorded import read_recorded
 from quadexp.plugins.identification.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples
 from quadexp.plugins.identification.torque_gain import TorqueGain, gains, own_timing
 from quadexp.plugins.identification.turning import AXES, LEAST, OTHER, Turning, speed_of, turnings
+from quadexp.plugins.logs.samples import COMMANDS, Samples, gather_to_fit, read_rows
 from quadexp.report.table import Table
 
 LOW, HIGH = 1.0, 15.0  # Hz

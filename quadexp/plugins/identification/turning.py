@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from quadexp.models.samples import QUATERNION, FlightRows
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.thrust_curve import ThrustCurve
+from quadexp.plugins.logs.samples import QUATERNION, FlightRows
 
 LEAST = 6.0  # s of a stretch
 AXES = ("roll", "pitch", "yaw")

@@ -14,7 +14,6 @@ from quadexp.experiment.vehicle_of import refuse_repeated
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.models.checkpoint import edited_note, load_model
-from quadexp.models.samples import FlightRows, gather_to_fit, read_rows
 from quadexp.names import distinct, without
 from quadexp.parts.schema import Config
 from quadexp.physics.vehicle import Vehicle
@@ -23,6 +22,7 @@ from quadexp.plugins.identification.recorded import recorded_dataset
 from quadexp.plugins.identification.thrust_curve import ThrustCurve
 from quadexp.plugins.identification.validation import Predictor, Track
 from quadexp.plugins.identification.vehicle_model import FitSettings, VehicleModel, fit_vehicle_model
+from quadexp.plugins.logs.samples import FlightRows, gather_to_fit, read_rows
 from quadexp.provenance import provenance, versions
 from quadexp.writer import check_output, write_text
 

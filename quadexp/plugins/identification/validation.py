@@ -40,7 +40,6 @@ from quadexp.models.checkpoint import record_of
 from quadexp.models.dataset import feature_rows
 from quadexp.models.regression import between_flights
 from quadexp.models.residual import AXES
-from quadexp.models.samples import QUATERNION, FlightRows
 from quadexp.models.terms import TermModel
 from quadexp.physics.expression import symbols
 from quadexp.physics.integrator import rk4_step
@@ -51,6 +50,7 @@ from quadexp.physics.vehicle import GRAVITY, Vehicle
 from quadexp.plugins.identification.recorded import tracked_scale
 from quadexp.plugins.identification.thrust_curve import ThrustCurve
 from quadexp.plugins.identification.vehicle_model import VehicleModel
+from quadexp.plugins.logs.samples import QUATERNION, FlightRows
 
 BLOCK = 2.0  # s, of the bootstrap
 DRAWS = 1000  # resamplings of the flights for an interval

@@ -28,7 +28,6 @@ from quadexp.models.base import Model, Prediction, feature_ranges, rms
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag
 from quadexp.models.residual import AXES, VELOCITY, Residual
-from quadexp.models.samples import Samples, gather_to_fit
 from quadexp.models.terms import (
     LINEAR,
     QUADRATIC,
@@ -46,6 +45,7 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.inflow import fit_inflow, momentum_of
 from quadexp.plugins.identification.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples, thrust_columns
 from quadexp.plugins.identification.torque_gain import TorqueGain
+from quadexp.plugins.logs.samples import Samples, gather_to_fit
 
 KINDS = ("linear", "quadratic", "blade_element")
 LEVELS = ("nominal", "offset", *KINDS)

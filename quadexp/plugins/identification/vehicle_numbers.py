@@ -24,10 +24,10 @@ from typing import Any
 import numpy as np
 
 from quadexp.models.regression import LEAST_FLIGHTS, half_width
-from quadexp.models.samples import SIGNALS, Samples
 from quadexp.physics.vehicle import GRAVITY, Vehicle
 from quadexp.plugins.identification.thrust_curve import ThrustCurve
 from quadexp.plugins.identification.torque_gain import TorqueGain
+from quadexp.plugins.logs.samples import SIGNALS, Samples
 from quadexp.report.table import Table
 
 Row = dict[str, Any]

@@ -1,7 +1,8 @@
-"""Logs of other programs, read into flights."""
+"""Files of other programs: logs, read into flights; and paths to be flown."""
 
 BRINGS = {
     "commands": {"import": "quadexp.plugins.logs.commands:import_"},
+    "parts": {"from_file": "quadexp.plugins.logs.from_file"},
     "readers": {  # the most general last: to it any text is a table
         "ardupilot": "quadexp.plugins.logs.importers.readers.ardupilot",
         "betaflight": "quadexp.plugins.logs.importers.readers.betaflight",

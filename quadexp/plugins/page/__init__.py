@@ -5,12 +5,12 @@ BRINGS = {
         "table": "quadexp.plugins.page.table_command:table",
         "plot": "quadexp.plugins.page.commands:plot",
         "report": "quadexp.plugins.page.commands:report",
+        "compare": "quadexp.plugins.page.commands:compare",
         "animate": "quadexp.plugins.page.commands:animate",
     },
     "services": {
         "view": "quadexp.plugins.page.view:view",
         "figure_of": "quadexp.plugins.page.draw:figure_of",
-        "comparison_figure": "quadexp.plugins.page.draw:comparison_figure",
         "flights_figure": "quadexp.plugins.page.flight_figures:flights_figure",
         "over_time": "quadexp.plugins.page.flight_figures:over_time",
         "sortable_page": "quadexp.plugins.page.document:page_of",

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
-from quadexp.cli.command import Answer, Ask, Force, Out, command, file_rows, single_values
+from quadexp.cli.command import Answer, Ask, Conf, Force, Out, command, file_rows, single_values
+from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
+from quadexp.names import without
 
 HEADING = "Look"
 WIDTHS = {"column": 3.5, "page": 7.16}  # inches, of the IEEE
@@ -138,3 +140,43 @@ def animate(
     return Answer(
         movie, [single_values(movie)], [f"{movie['frames']} frames, {movie['duration']:.1f} s", movie["path"]]
     )
+
+
+@command
+def compare(
+    first: Annotated[Path, Ask("A flight, results folder, or checkpoint folder.")],
+    others: Annotated[tuple[Path, ...], Ask("Others of the same kind, each compared with the first.", "FILE")],
+    out: Annotated[Path | None, Ask("Draw them too: a png, pdf or svg.", "PATH", "--out -o")] = None,
+    force: Force = False,
+    conf: Conf = (),
+) -> Answer:
+    """Show how flights, results or checkpoints differ: configuration, outcome, figures.
+
+    \b
+    quadexp compare runs/a.parquet runs/b.parquet runs/c.parquet --out compare.png
+    quadexp compare results/table1 results/table1_again
+    """
+    from quadexp.parts.options import given_folders
+    from quadexp.plugins.page.compare import compare as compared
+    from quadexp.report.checked import check_flights
+    from quadexp.report.frame import read_results
+
+    if out is not None:
+        from quadexp.report.style import check_path
+
+        out = check_path(out, force)
+    given_folders(conf)
+    report = compared(first, *others)
+    if out is not None:
+        from quadexp.plugins.page.draw import comparison_figure
+        from quadexp.report.style import save_figure
+
+        save_figure(comparison_figure(report["kind"], [first, *others]), out, force=force)
+    checked = {str(p): check_flights(*read_results(p)[:2]) for p in (first, *others) if report["kind"] == "results"}
+    wrong = [f"{folder}: {line}" for folder, files in checked.items() for line in files.lines(beside=False)]
+    for line in wrong:
+        say(f"warning: {line}")
+    record = without(report, ("lines", "tables"))
+    record |= {"picture": out} if out else {}
+    record |= {"checked": [f"{folder}: {files.text()}" for folder, files in checked.items()] + wrong}
+    return Answer(record, report["tables"], [*report["lines"], *([out] if out else [])])

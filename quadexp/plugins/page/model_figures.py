@@ -14,8 +14,8 @@ from msgspec.structs import replace
 
 from quadexp.models.base import AXIS, Prediction
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.gaussian_process import GPModel, OutputPosterior
 from quadexp.models.residual import THRUST, VELOCITY
+from quadexp.plugins.gaussian_process.gaussian_process import GPModel, OutputPosterior
 from quadexp.report.style import BLUE, COUNTS, ORANGE, Figure, entries, mathematics, styled
 
 CURVE_POINTS = 300  # one a pixel of a panel

@@ -1,3 +1,6 @@
 """What is put around a controller: observers, L1, INDI, predictions of delays; and what learns in flight."""
 
-BRINGS = {"parts": {"remedies": "quadexp.plugins.remedies"}}
+BRINGS = {
+    "parts": {"remedies": "quadexp.plugins.remedies"},
+    "services": {"believed_world": "quadexp.plugins.remedies.believed_world:BelievedWorld"},
+}

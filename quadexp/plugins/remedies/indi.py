@@ -26,7 +26,6 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import allocation
 from quadexp.control.inputs import Circumstances, Inputs
-from quadexp.control.laws.dfbc import TILT_FIRST, WRENCH_WEIGHT, Wrench
 from quadexp.control.layer import Layer, LayerPart
 from quadexp.control.wrapped import layers
 from quadexp.errors import UsageError
@@ -36,6 +35,7 @@ from quadexp.parts.settings import Backend, key, keyed
 from quadexp.physics.expression import Expression, symbols
 from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.laws.dfbc import TILT_FIRST, WRENCH_WEIGHT, Wrench
 from quadexp.plugins.remedies.earlier import earlier, kept_size
 
 NEWTON_STEPS = 5  # of (35) with I_p, from the filtered speeds; quadratic convergence

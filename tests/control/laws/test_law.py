@@ -10,13 +10,13 @@ from quadexp.control.base import Belief, Measurement
 from quadexp.control.law import Law
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world
-from quadexp.experiment.loop_margins import loop_margins
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.parts.compose import compose
 from quadexp.parts.listing import candidates  # noqa: F401 - what completion reads must not need a vehicle
 from quadexp.parts.settings import key
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
+from quadexp.plugins.margins.loop_margins import loop_margins
 from tests.control.laws.flown import at_rest, hovering
 
 

@@ -13,11 +13,11 @@ from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
-from quadexp.experiment.loop_margins import hover_loop
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.plugins.auto.ahead import CommandsAhead, prediction_numbers, span_weights
 from quadexp.plugins.identification.from_model import FromModelPlant
+from quadexp.plugins.margins.loop_margins import hover_loop
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
 from quadexp.world import PlantEffects, SimplifiedPlant

@@ -9,11 +9,11 @@ from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.prediction import held_deviation
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.experiment.loop_margins import hover_loop, margins
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.physics.motor import lagging_rk4_step
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.sensitivity import rk4_sensitivity_function
+from quadexp.plugins.margins.loop_margins import hover_loop, margins
 from quadexp.reference.circle import Circle
 from quadexp.reference.lemniscate import Lemniscate
 from quadexp.world import PlantEffects, SimplifiedPlant

@@ -13,13 +13,13 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
-from quadexp.models.command_lag import CommandLag
 from quadexp.models.dataset import transitions
-from quadexp.models.rotor_thrust import fit_timing
 from quadexp.parts.compose import compose
 from quadexp.plugins.identification.delays import _of_simulated, identify_delays, overrides, sum_known, told
 from quadexp.plugins.identification.moments import Moments, Stream
+from quadexp.plugins.identification.rotor_thrust import fit_timing
 from quadexp.plugins.identification.timing import Search
+from quadexp.plugins.logs.command_lag import CommandLag
 from tests.models.late_flights import C, late_flight
 
 NOISY = ["controller=nominal_mpc", "world=everything", "trajectory=lemniscate", "trajectory.speed=6", "seed=3"]
@@ -109,7 +109,7 @@ def test_a_log_whose_parts_are_unsure_sets_its_sum(tmp_path):
     (record,) = report["flights"]
     settings = dict(text.split("=") for text in record["overrides"])
     assert "set: nothing" not in "".join(report["lines"])
-    total = sum(float(settings.get(f"controller.{key}", 0.0)) for key in ("dead_time", "motor_lag"))
+    total = sum(float(settings.get(f"timing.{key}", 0.0)) for key in ("dead_time", "motor_lag"))
     assert total == pytest.approx(0.05, abs=6e-3)
 
 
@@ -135,7 +135,7 @@ def test_the_command_prints_what_to_set(tmp_path):
     words, picture = ["identify", "--method", "delays", str(path)], tmp_path / "delays.svg"
     said = CliRunner().invoke(app, [*words, "--figure", str(picture)])
     assert said.exit_code == 0 and picture.stat().st_size > 10_000 and picture.with_suffix(".png").exists()
-    assert "delay=prediction delay.time=0.0" in said.output and "controller.motor_lag=0.0" in said.output
+    assert "delay=prediction timing.age=0.0" in said.output and "timing.motor_lag=0.0" in said.output
     record = json.loads(CliRunner().invoke(app, [*words, "--json"]).stdout)
     assert record["flights"][0]["age"] == pytest.approx(0.01, abs=2e-3)
     two = CliRunner().invoke(app, [*words, str(path), "--figure", str(picture)])

@@ -8,9 +8,8 @@ import pytest
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import rms
 from quadexp.models.common_scale import with_common_scale
-from quadexp.models.gaussian_process import GPConfig, fit_gp
 from quadexp.models.linear_drag import fit_linear_drag
-from quadexp.models.samples import read_rows
+from quadexp.plugins.gaussian_process.gaussian_process import GPConfig, fit_gp
 from quadexp.plugins.identification.lines import validation_lines
 from quadexp.plugins.identification.recorded import force_rows, logged_thrust, recorded_dataset, tracked_scale
 from quadexp.plugins.identification.thrust_curve import ThrustCurve
@@ -24,6 +23,7 @@ from quadexp.plugins.identification.validation import (
     score_rows,
 )
 from quadexp.plugins.identification.vehicle_model import FitSettings, fit_vehicle_model
+from quadexp.plugins.logs.samples import read_rows
 from tests.models.recorded_flights import CURVE, DRAG, OFFSET, crazyflie, recorded_flight
 
 VEHICLE = crazyflie()

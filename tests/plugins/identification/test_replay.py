@@ -12,10 +12,10 @@ from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight
 from quadexp.models.checkpoint import load_model
-from quadexp.models.samples import read_rows
 from quadexp.plugins.identification import replay
 from quadexp.plugins.identification import requests as of_logs
 from quadexp.plugins.identification.validation import predictors
+from quadexp.plugins.logs.samples import read_rows
 from tests.models.recorded_flights import crazyflie, recorded_flight
 
 FORCE, TORQUE = 0.03, 2e-3  # N/sqrt(Hz), N m/sqrt(Hz)

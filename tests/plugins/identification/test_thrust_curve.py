@@ -6,8 +6,8 @@ import pytest
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.models.regression import half_width
-from quadexp.models.samples import choose_signal, gather
 from quadexp.plugins.identification.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples
+from quadexp.plugins.logs.samples import choose_signal, gather
 from tests.models.logged_flights import CURVE, DRAG, logged_flight
 
 

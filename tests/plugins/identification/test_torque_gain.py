@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from quadexp import requests
-from quadexp.models.samples import gather_to_fit
 from quadexp.plugins.identification import torque
 from quadexp.plugins.identification.recorded import read_recorded
 from quadexp.plugins.identification.torque_gain import TorqueGain, prediction_error
+from quadexp.plugins.logs.samples import gather_to_fit
 from tests.models.logged_flights import logged_flight
 from tests.models.recorded_flights import crazyflie
 from tests.plugins.identification.test_torque import GAIN, turning

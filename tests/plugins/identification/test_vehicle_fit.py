@@ -8,7 +8,6 @@ import pytest
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import load_model, save_model
-from quadexp.models.samples import gather
 from quadexp.plugins.identification import vehicle_model as ladder
 from quadexp.plugins.identification.identify import chosen_curve, identify_vehicle
 from quadexp.plugins.identification.lines import identification_lines
@@ -23,6 +22,7 @@ from quadexp.plugins.identification.vehicle_model import (
     rmse,
     selection,
 )
+from quadexp.plugins.logs.samples import gather
 from tests.log.imitated import vehicle_named
 from tests.models.logged_flights import CURVE, DRAG, OFFSET, logged_flight, specific_force
 from tests.models.recorded_data import blackbird, nanobench

@@ -6,13 +6,13 @@ import pytest
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.drag_choice import chosen_drag
 from quadexp.models.linear_drag import DragConfig
-from quadexp.models.samples import gather
 from quadexp.models.verdict import split_by_flight, verdict
 from quadexp.physics.vehicle import GRAVITY
 from quadexp.plugins.identification.identify import identify_vehicle
 from quadexp.plugins.identification.recorded import recorded_dataset
 from quadexp.plugins.identification.vehicle_model import FitSettings, flight_by_flight
 from quadexp.plugins.identification.vehicle_numbers import next_flight, number_lines, numbers_of
+from quadexp.plugins.logs.samples import gather
 from tests.models.logged_flights import CURVE, logged_flight
 from tests.models.recorded_flights import crazyflie, recorded_flight
 

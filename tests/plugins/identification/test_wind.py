@@ -20,12 +20,12 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.models.dataset import read_dataset, residual_dataset, transitions
 from quadexp.models.linear_drag import fit_linear_drag
-from quadexp.models.samples import gather, read_rows
 from quadexp.parts.compose import compose
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.plugins.identification.validation import Track, predictors, rollout_errors
 from quadexp.plugins.identification.vehicle_model import FitSettings, fit_vehicle_model
+from quadexp.plugins.logs.samples import gather, read_rows
 from quadexp.plugins.papers.lei_li.blade_element import identify_flight
 from tests.models.test_dataset import VEHICLE
 from tests.plugins.identification.test_recorded import VEHICLE as RECORDED_VEHICLE

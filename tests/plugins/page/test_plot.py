@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from quadexp.report.compare import compare
+from quadexp.plugins.page.compare import compare
 from quadexp.report.summary import held_out_rows, held_out_table
 from tests.cli.command import run, run_main
 from tests.report.sweeps import noise, swept

@@ -10,10 +10,10 @@ from scipy import stats
 from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata
 from quadexp.parts.settings import read_value
+from quadexp.plugins.page.compare import compare
 from quadexp.plugins.page.draw import records
 from quadexp.plugins.page.sweep_figures import drawings
 from quadexp.plugins.page.view import Axis, automatic, points, view
-from quadexp.report.compare import compare
 from quadexp.report.frame import SweepFrame, chosen, setting_text, unit_of
 from quadexp.report.statistics import compute_statistics
 from tests.report.sweeps import noise, swept

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from quadexp.control.base import Measurement
-from quadexp.control.laws.geometric import Geometric
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION
+from quadexp.plugins.laws.geometric import Geometric
 from quadexp.plugins.remedies.l1 import L1, LOGGED
 from tests.control.held import Held
 from tests.control.laws.flown import Body, at_rest, fly, hovering, rotation, vehicle_of

@@ -7,10 +7,15 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from quadexp.compile.backend import BufferedFunction, compiler, realise
-from quadexp.models.gaussian_process import JITTER, adapting_process, gaussian_process_residual, mean_only
 from quadexp.models.linear_drag import adapting_drag, linear_drag_acceleration, linear_drag_residual
-from quadexp.models.sgpr import Hyperparameters, sparse_posterior
 from quadexp.models.terms import adapting_terms
+from quadexp.plugins.gaussian_process.gaussian_process import (
+    JITTER,
+    adapting_process,
+    gaussian_process_residual,
+    mean_only,
+)
+from quadexp.plugins.gaussian_process.sgpr import Hyperparameters, sparse_posterior
 from quadexp.plugins.neural.neural import adapting_network, neural_residual
 from quadexp.plugins.remedies.online import Law, from_zero, prior_belief, update_function
 from tests.models.residuals import make_residual, network
@@ -387,7 +392,7 @@ def kernel(a, b, p):
 
 
 def test_the_variational_form_is_our_sgpr(vehicle):
-    """Mean and covariance of the function at new points, to 1e-8, against quadexp.models.sgpr on all rows."""
+    """Mean and covariance of the function at new points, to 1e-8, against plugins.gaussian_process.sgpr on all rows."""
     v, u, a = data()
     adapting, outputs, blocks, theta = stream(vehicle, Law(), v, u, a)
     new_v, new_u, _ = data(40, seed=9)

@@ -49,7 +49,6 @@ from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.models.regression import LEAST_BLOCKS, half_width, over_blocks
 from quadexp.models.residual import AXES, Residual, feature_names, symbolic_residual
-from quadexp.models.samples import READINGS, check_columns
 from quadexp.names import named
 from quadexp.physics.blade_element import ADOPTED, CrossTerms, aerodynamic_wrench, rotor_flow, static_rotor_speed
 from quadexp.physics.expression import Expression, symbols
@@ -58,6 +57,7 @@ from quadexp.physics.rotation import along_z
 from quadexp.physics.rotor import C_LA, IDLE_SPEED, THETA, BladeCoefficients
 from quadexp.physics.state import STATE_COLUMNS, root_mean_square
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.logs.samples import READINGS, check_columns
 from quadexp.plugins.papers.lei_li.rls import ITERATIONS as SAFE_ITERATIONS
 from quadexp.plugins.papers.lei_li.rls import SLOWEST, BladeElementRLS, RLSSettings
 

@@ -21,7 +21,6 @@ from quadexp.control.base import Controller, Window
 from quadexp.control.inputs import Circumstances, Inputs
 from quadexp.control.instant import Instant, Told, instant_of
 from quadexp.control.layer import NO_BELIEF, Layer, LayerPart
-from quadexp.control.mpc.believed_world import Estimator
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.wrapped import WrappedController, air_of, innermost, parameters_of
 from quadexp.errors import UsageError
@@ -31,6 +30,7 @@ from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import named_symbols
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.remedies.believed_world import BelievedWorld, Estimator
 
 COLUMNS = (
     *(f"observer_force_{axis}" for axis in "xyz"),
@@ -128,14 +128,18 @@ class Observer(Layer):
 
 
 class ObservingMPC(WrappedController):
-    """An MPC with an observer: the update is a part of its step (control.mpc.believed_world)."""
+    """An MPC with an observer: the update is a part of its step (plugins.remedies.believed_world)."""
 
     def __init__(self, inner: PredictiveController, part: ObserverPart, about: Circumstances) -> None:
         super().__init__(inner)
         self.part, self.finds_torque = part, part.torque_bandwidth > 0
         inner.targets = part.targets
         function = part.update(inner.vehicle, air_of(inner), about)
-        self._world = inner.observed_by(Estimator(function, part.settings(about.period), about.delays))
+        estimator = Estimator(function, part.settings(about.period), about.delays)
+        self._world = BelievedWorld(
+            inner.mpc, inner.node_times, targets=inner.targets, air=inner.residual, estimator=estimator
+        )
+        inner.believed = self._world
         self.numbers = self._world.numbers
 
     def reset(self, x: np.ndarray, window: Window) -> None:

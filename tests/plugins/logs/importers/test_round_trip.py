@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from quadexp import plugin
 from quadexp.errors import DataError
-from quadexp.log.exporters import export_flight
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
+from quadexp.plugins.exchange.flights import export_flight
 from quadexp.plugins.logs.importers import Options, import_log
 from tests.log.imitated import imitated
 from tests.plugins.logs.importers import logs

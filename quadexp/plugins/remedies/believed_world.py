@@ -6,7 +6,7 @@
                   horizon, with o' = w. In a constant wind the equations of motion there are those of still air, so that
                   nothing changes in the model. Where the wind is believed to be another, the last solution is moved.
     thrust scale  the inputs of the plan are the thrusts that are delivered, s u, within s times the limits
-    targets       attitudes and thrusts of the reference are made anew (control.mpc.targets), where that is asked for
+    targets       attitudes and thrusts of the reference are made anew (targets.py), where that is asked for
 
 All of it is one function a control step. What it remembers until the next one is one array.
 """
@@ -26,12 +26,12 @@ from quadexp.control.built import built
 from quadexp.control.delivered import Delays, delivered_thrust, kept_sizes
 from quadexp.control.instant import Operation, Told, call, copy
 from quadexp.control.mpc.mpc import ModelPredictiveController
-from quadexp.control.mpc.targets import held_targets
 from quadexp.models.residual import Residual
 from quadexp.names import named
 from quadexp.physics.expression import named_function, named_symbols
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.remedies.targets import held_targets
 
 ROUNDING = 1e-15  # of a limit: a delivered thrust at it gives a command within the rotor's, however it is rounded
 MOVED = 0.5  # m/s: with a smaller change of the wind the last solution is a good guess as it is
@@ -148,7 +148,7 @@ class BelievedWorld:
 
 
 def memory_sizes(vehicle: Vehicle, nodes: int, estimator: Estimator | None) -> dict[str, int]:
-    """What a BelievedWorld remembers: the frame's origin, the wind, `air` of control.mpc.targets at the nodes; with an
+    """What a BelievedWorld remembers: the frame's origin, the wind, `air` of targets.py at the nodes; with an
     estimator what commands gave, and its state."""
     sizes = {"origin": 3, "wind": 3, "air": 6 * (nodes + 1)}
     if estimator is not None:

@@ -23,9 +23,9 @@ from quadexp.control.base import Measurement, Window
 from quadexp.control.instant import Instant, Operation, in_operations, run
 from quadexp.control.wrapped import innermost
 from quadexp.errors import ModelDomainError, QuadexpError
-from quadexp.experiment.linear_loop import LinearLoop, Phase
 from quadexp.physics.rotation import left_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE
+from quadexp.plugins.margins.linear_loop import LinearLoop, Phase
 from quadexp.world.integrator import SimulatedPlant
 from quadexp.world.streams import TICK, Drawn, Held, Silence, Ticking
 from quadexp.world.world import World

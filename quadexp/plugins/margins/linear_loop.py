@@ -4,7 +4,7 @@
 
 There is an A, B and C for each of the instants after which the loop is the same again: where parts run at several
 rates, and where sensors do. Numbers that do not lead from v back to u, such as covariances and counters, are no part of
-the loop. experiment.linearised makes it of what flies.
+the loop. plugins.margins.linearised makes it of what flies.
 """
 
 from __future__ import annotations

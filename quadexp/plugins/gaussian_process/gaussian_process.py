@@ -14,7 +14,7 @@ the combination of two independent estimates, the GP with the posterior variance
 mean squared error. q is quadratic drag, c_0 + c_1 v_i + c_2 v_i |v_i| (+ c_3 thrust on z), by least squares through the
 GP's own points, where m is no drag model that was fitted (terms) and the features are these; else q = 0.
 
-Kernel: Torrente et al. 2021, eq. 8; posterior: Titsias 2009, eqs 6 and 10; the fit: quadexp.models.sgpr. The prior mean
+Kernel: Torrente et al. 2021, eq. 8; posterior: Titsias 2009, eqs 6 and 10; the fit: sgpr.py. The prior mean
 is linear drag, a sum of identified terms (quadexp.models.terms), a constant, or zero.
 
 The residual is written in matrix operations with the analytic derivative; the cost is linear in the number of points.
@@ -126,7 +126,7 @@ DEFAULT_FEATURES = GPFeatures(a_x=("v_x",), a_y=("v_y",), a_z=("v_z", "thrust"))
 
 @keyed
 class GPConfig(ModelPart):
-    """How the Gaussian processes are fitted; see quadexp/models/gaussian_process.py."""
+    """How the Gaussian processes are fitted; see quadexp/plugins/gaussian_process/gaussian_process.py."""
 
     features: GPFeatures = key(DEFAULT_FEATURES, "features of every output")
     inducing: int = key(20, "inducing points of an output", "[2, 1000]", "points")
@@ -456,7 +456,7 @@ def fit_gp(
     Raises DataError where the dataset is empty, lacks a feature or output, has fewer rows than inducing points, or a
     constant feature.
     """
-    from quadexp.models.sgpr import fit_output  # imports PyTorch
+    from quadexp.plugins.gaussian_process.sgpr import fit_output  # imports PyTorch
 
     settings = settings or GPConfig()
     chosen = settings.features.of_output

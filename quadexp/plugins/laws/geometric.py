@@ -39,13 +39,13 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import clipped, prioritised
 from quadexp.control.inputs import Inputs
 from quadexp.control.law import Law
-from quadexp.control.laws.attitude import attitude_distance, attitude_error, moving_attitude
 from quadexp.control.part import RESIDUAL
 from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.laws.attitude import attitude_distance, attitude_error, moving_attitude
 
 E_X, E_Z = ca.DM([1, 0, 0]), ca.DM([0, 0, 1])
 

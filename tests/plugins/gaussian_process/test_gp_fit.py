@@ -5,7 +5,7 @@ import pytest
 
 from quadexp.errors import DataError, UsageError
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.gaussian_process import GPConfig, fit_gp
+from quadexp.plugins.gaussian_process.gaussian_process import GPConfig, fit_gp
 from tests.models.synthetic import synthetic_dataset, truth
 
 

@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import UsageError
-from quadexp.log.exporters import FORMATS, export_flight
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
-from quadexp.reference.from_file import FileTrajectory
+from quadexp.plugins.exchange.flights import FORMATS, export_flight
+from quadexp.plugins.logs.from_file import FileTrajectory
 from tests.log.flights import straight_flight
 
 

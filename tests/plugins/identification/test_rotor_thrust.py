@@ -11,12 +11,12 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.log.schema import Flight
 from quadexp.models.dataset import as_told, residual_dataset, transitions
-from quadexp.models.rotor_thrust import HeldCommands, Timing, fit_timing, mean_thrust, measured_thrust
-from quadexp.models.samples import read_rows
 from quadexp.parts.compose import compose
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, input_columns
+from quadexp.plugins.identification.rotor_thrust import HeldCommands, Timing, fit_timing, mean_thrust, measured_thrust
 from quadexp.plugins.identification.validation import Track, predictors, rollout_errors
 from quadexp.plugins.identification.vehicle_model import FitSettings, fit_vehicle_model
+from quadexp.plugins.logs.samples import read_rows
 from quadexp.plugins.worlds.battery import Battery
 from quadexp.world.actuator import Actuator
 from quadexp.world.link import Latency
@@ -241,7 +241,7 @@ def test_noise_of_the_estimate_leaves_the_mean_lag(vehicle):
     noise = StatedEstimate(velocity_noise=0.03, rate_noise=0.05)
     found, _ = fitted(vehicle, [Actuator(time_constant_up=0.03, time_constant_down=0.03), noise], seconds=8.0)
     assert found.timing.lag + found.timing.delay == pytest.approx(0.03, rel=0.2)
-    assert "controller.motor_lag=0.0" in found.line
+    assert "timing.motor_lag=0.0" in found.line
 
 
 def test_known_noise_lets_a_delay_be_seen_that_it_would_hide(vehicle):

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.control.laws.cascade import Cascade, wanted_rate, wanted_thrust, wanted_velocity
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, RATE, VELOCITY
+from quadexp.plugins.laws.cascade import Cascade, wanted_rate, wanted_thrust, wanted_velocity
 from tests.control.laws.flown import Body, at_rest, fly, hovering, rotation, vehicle_of
 
 FORCE, TORQUE = np.array([1.5, -1.0, 0.8]), np.array([0.05, -0.03, 0.01])

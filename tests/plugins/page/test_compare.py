@@ -14,7 +14,7 @@ from quadexp.log.store import write_flight, write_table
 from quadexp.models.checkpoint import save_model
 from quadexp.models.linear_drag import LinearDrag
 from quadexp.parts.compose import compose, expand
-from quadexp.report.compare import change, compare, differing
+from quadexp.plugins.page.compare import change, compare, differing
 from quadexp.report.metrics import to_columns
 from quadexp.sweeps.sweep import run_sweep
 from tests.log.flights import straight_flight

@@ -38,7 +38,6 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.allocation import prioritised
 from quadexp.control.inputs import Inputs
 from quadexp.control.law import Law
-from quadexp.control.laws.attitude import attitude_of
 from quadexp.control.laws.explicit import Rate
 from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.expression import Expression, limited
@@ -46,6 +45,7 @@ from quadexp.physics.low_pass import low_pass
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.laws.attitude import attitude_of
 
 RATE_ERROR = math.radians(400.0)  # rad/s, at which the rate loop no longer integrates
 # Share of the largest torque that the mixer leaves out, from which on an axis counts as saturated: above the rounding

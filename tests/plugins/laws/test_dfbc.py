@@ -7,11 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.base import Belief, Measurement, Window
-from quadexp.control.laws.dfbc import FlatnessBased
-from quadexp.control.laws.geometric import Geometric
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.physics.state import POSITION, RATE, VELOCITY
+from quadexp.plugins.laws.dfbc import FlatnessBased
+from quadexp.plugins.laws.geometric import Geometric
 from quadexp.reference.ellipse import Ellipse
 from quadexp.reference.flatness import flat_reference
 from quadexp.reference.hover import Hover

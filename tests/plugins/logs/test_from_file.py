@@ -11,11 +11,11 @@ from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import InfeasibleError, fly_one
 from quadexp.parts.compose import compose
+from quadexp.plugins.logs.from_file import FileTrajectory, read_positions
 from quadexp.reference.circle import Circle
-from quadexp.reference.from_file import FileTrajectory, read_positions
 from tests.reference.test_polynomial import VEHICLES, shares
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 INTERPRETED = ["plant.backend=interpreted", "controller.backend=interpreted"]
 TWO = "x,y,z\n0,0,1\n3,0,2\n"
 LOOP = "x,y,z\n0,0,1\n6,0,1\n6,5,3\n-1,5,2\n0,0,1\n"

@@ -6,9 +6,9 @@ import pytest
 import torch
 from scipy.stats import multivariate_normal
 
-from quadexp.models import sgpr
-from quadexp.models.gaussian_process import OutputPosterior
-from quadexp.models.sgpr import greedy_points
+from quadexp.plugins.gaussian_process import sgpr
+from quadexp.plugins.gaussian_process.gaussian_process import OutputPosterior
+from quadexp.plugins.gaussian_process.sgpr import greedy_points
 
 JITTER = 1e-8
 

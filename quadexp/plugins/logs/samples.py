@@ -24,10 +24,10 @@ import numpy as np
 from quadexp.errors import DataError
 from quadexp.log.runs import period_of
 from quadexp.log.schema import Flight
-from quadexp.models.command_lag import find_lag, lagged
 from quadexp.models.dataset import WIND, name_of
 from quadexp.models.residual import VELOCITY
 from quadexp.physics.state import norms
+from quadexp.plugins.logs.command_lag import find_lag, lagged
 
 # In order of preference for the thrust.
 SIGNALS = {"rotor_speed": "rad/s", "motor_command": "1", "thrust_acceleration": "m/s^2", "u": "N"}

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.control.mpc.targets import LEAST, held_targets
+from quadexp.plugins.remedies.targets import LEAST, held_targets
 
 
 def targets(vehicle, rotation, specific, push):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from quadexp.models.command_lag import find_lag, lagged
 from quadexp.models.regression import half_width
-from quadexp.models.samples import gather, gather_to_fit
 from quadexp.plugins.identification.thrust_curve import CurveSettings, fit_thrust_samples
+from quadexp.plugins.logs.command_lag import find_lag, lagged
+from quadexp.plugins.logs.samples import gather, gather_to_fit
 from tests.models.late_flights import C, late_flight
 
 SQUARED = CurveSettings(powers=(2,))

@@ -32,10 +32,10 @@ from scipy.interpolate import BSpline, make_interp_spline, make_lsq_spline
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError, UsageError
-from quadexp.log.column_names import groups
 from quadexp.names import named
 from quadexp.parts.settings import REQUIRED, key, keyed
 from quadexp.physics.state import norms
+from quadexp.plugins.logs.column_names import groups
 from quadexp.reference.base import (
     MARGIN,
     SPEED,
@@ -138,7 +138,7 @@ def read_positions(path: Path) -> Positions:
 
 
 def _renamed(header: list[str]) -> list[str]:
-    """Names of a track as this program has them, where other ones say as much (log/column_names.py)."""
+    """Names of a track as this program has them, where other ones say as much (column_names.py)."""
     if any(name in header for name in (*TRACK, *WAYPOINTS)):
         return header
     known, header = groups(header), list(header)

@@ -5,10 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.base import Belief, Measurement
-from quadexp.control.laws.geometric import Geometric
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, RATE, VELOCITY
+from quadexp.plugins.laws.geometric import Geometric
 from quadexp.reference.base import FlatOutput
 from quadexp.reference.flatness import flat_reference
 from tests.control.laws.flown import VEHICLES, Body, at_rest, fly, hovering, rotation, vehicle_of

@@ -1,6 +1,6 @@
 """The delay and lag that a loop tolerates beyond what it is flown with, and refusing one that is not stable at hover.
 
-Everything that is flown is in the loop (experiment.linearised). A further delay d or lag tau between command and plant
+Everything that is flown is in the loop (linearised.py). A further delay d or lag tau between command and plant
 makes it unstable where 1 is an eigenvalue of its gain with it: about where, with an eigenvalue l of the gain without,
 
     l e^{-i w d} = 1:  |l| = 1, d = arg(l) / w                  l / (1 + i w tau) = 1:  Re l = 1, tau = Im l / w
@@ -23,11 +23,11 @@ from quadexp.control.base import Window
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_trajectory, build_vehicle, build_world
 from quadexp.experiment.identity import ModelFile
-from quadexp.experiment.linear_loop import LinearLoop
-from quadexp.experiment.linearised import SETTLING, UnknownLoopError, linear_loop
 from quadexp.parts.schema import Config
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.margins.linear_loop import LinearLoop
+from quadexp.plugins.margins.linearised import SETTLING, UnknownLoopError, linear_loop
 
 LIMIT = 0.5  # s: largest margin that is searched for
 SLOW = 0.05  # 1/s: what grows no faster is a drift, not an unstable loop
@@ -37,6 +37,7 @@ NEAR, RESOLUTION = 1.05, 1e-3  # how near the search comes, and relative accurac
 POINTS = 9  # along a path
 RATES, SHARES = (100.0, 200.0), (1.0, 0.5)  # control rates that are tried (Hz), and shares of the horizon
 DIGITS = 3  # decimals of what is proposed
+TOLD = {"dead_time": "timing.dead_time", "motor_lag": "timing.motor_lag", "motor_lead": "timing.motor_lag"}
 
 _known: WeakKeyDictionary[Any, WeakKeyDictionary[Any, dict[str, Any]]] = WeakKeyDictionary()  # flown many times
 
@@ -187,4 +188,4 @@ def instability(
 
 
 def _keys(changes: Mapping[str, float]) -> str:
-    return " ".join(f"controller.{name}={value:g}" for name, value in changes.items())
+    return " ".join(f"{TOLD.get(name, f'controller.{name}')}={value:g}" for name, value in changes.items())

@@ -7,9 +7,9 @@ import pytest
 
 from quadexp import requests
 from quadexp.experiment.evaluate import InfeasibleError, build_loop, fly_one
-from quadexp.experiment.loop_margins import hover_loop
 from quadexp.log.store import write_flight
 from quadexp.parts.compose import compose
+from quadexp.plugins.margins.loop_margins import hover_loop
 from quadexp.plugins.page.report.sections import margins as margins_of
 from quadexp.report.summary import flight_lines, margin_line, world_note
 
@@ -75,7 +75,7 @@ def test_what_is_not_stable_is_refused_and_flown_where_it_is_allowed(controller,
     world = [f"controller={controller}", *late]
     with pytest.raises(InfeasibleError, match=r"late by 100 ms; this loop is not stable at hover") as refused:
         flown(*world)
-    assert ("controller.dead_time=0.1" in str(refused.value)) == (controller == "nominal_mpc")
+    assert ("timing.dead_time=0.1" in str(refused.value)) == (controller == "nominal_mpc")
     margins = flown(*world, "controller.allow_unstable=true")["margins"]
     assert margins["delay"] == 0 and f"doubles every {np.log(2) / margins['growth']:.2g} s" in world_note(margins)
 

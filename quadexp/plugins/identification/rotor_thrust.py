@@ -33,9 +33,9 @@ from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.models.dataset import consecutive
 from quadexp.models.residual import VELOCITY
-from quadexp.models.samples import rotor_columns
 from quadexp.physics.state import N_STATE, STATE_COLUMNS, in_motion, input_columns, root_mean_square
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.logs.samples import rotor_columns
 
 NO_LAG = 1e-12  # s, in place of 0: what is left after a step of it is 0
 ROUNDING = 1e-9  # s
@@ -212,7 +212,7 @@ class TimingFit:
         dead = timing.delay + timing.state_delay
         return (
             f"{known} ({source}){behind}: a_z {self.before[0]:.3g} -> {self.after[0]:.3g} m/s^2 rms;"
-            f" a controller is told by controller.motor_lag={timing.lag:.3g} controller.dead_time={dead:.3g}"
+            f" a controller is told by timing.motor_lag={timing.lag:.3g} timing.dead_time={dead:.3g}"
         )
 
 

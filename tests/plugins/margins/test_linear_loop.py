@@ -10,10 +10,10 @@ from scipy.linalg import expm
 
 from quadexp.experiment import evaluate
 from quadexp.experiment.evaluate import build_loop
-from quadexp.experiment.linear_loop import LinearLoop, Phase
-from quadexp.experiment.loop_margins import SLOW, hover_loop, margins
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.parts.compose import compose
+from quadexp.plugins.margins.linear_loop import LinearLoop, Phase
+from quadexp.plugins.margins.loop_margins import SLOW, hover_loop, margins
 from quadexp.reference.hover import Hover
 from quadexp.world.streams import Silence
 from quadexp.world.world import World

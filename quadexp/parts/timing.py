@@ -1,0 +1,75 @@
+"""What a controller and the parts around it are told of delays, in one place: the group `timing=`.
+
+    age          of the measured state                 delay.time
+    dead_time    from a command to its thrust          controller, observer, adaptive, inner, delay: .dead_time
+    motor_lag    of the thrust behind its command      likewise .motor_lag; of an MPC as `motor=` says:
+                                                       states .motor_lag, lead .motor_lead, dead_time .dead_time
+
+A part that asks its controller (null) is told by it. What is set on a part itself counts over what is told here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+from typing import Any
+
+from quadexp.errors import UsageError
+from quadexp.parts.part import Part
+from quadexp.parts.schema import Config
+from quadexp.parts.settings import declared, key, keyed
+
+PARTS = ("controller", "observer", "adaptive", "inner", "delay")  # that may be told, the controller first
+TIMES = ("age", "dead_time", "motor_lag")
+
+
+@keyed
+class Timing(Part):
+    """Delays that are known."""
+
+    prefix = "timing."
+
+    age: float | None = key(None, "of the measured state; null: not told", "[0, 0.5]", "s")
+    dead_time: float | None = key(None, "from a command to its thrust; null: not told", "[0, 0.5]", "s")
+    motor_lag: float | None = key(
+        None, "time constant of the thrust behind its command; null: not told", "[0, 0.5]", "s"
+    )
+
+
+def told_keys(name: str) -> list[str]:
+    """The keys of parts that a key of `timing` may set."""
+    keys = {"age": ("time",), "motor_lag": ("motor_lag", "motor_lead")}.get(name, (name,))
+    return [f"{group}.{own}" for group in PARTS for own in keys]
+
+
+def told(config: Config, given: Collection[str], motor: str) -> Config:
+    """The configuration with its parts told what `timing` holds.
+
+    given: keys that were set by themselves. motor: the option of the group of this name.
+    Raises UsageError for one of its keys that was set and that no part of the configuration takes.
+    """
+    known = {name: value for name in TIMES if (value := getattr(config.timing, name)) is not None}
+    taken = set[str]()
+    for group in PARTS:
+        part = getattr(config, group)
+        names = declared(type(part))
+        changes: dict[str, Any] = {}
+        for name, value in known.items():
+            at = "time" if name == "age" and group == "delay" else name
+            if name == "motor_lag" and motor == "dead_time" and group == "controller":
+                at, value = "dead_time", value + known.get("dead_time", 0.0)
+            elif name == "motor_lag" and getattr(part, "motor_lead", None):
+                at = "motor_lead"
+            if at not in names:
+                continue
+            taken.add(name)
+            asks = getattr(part, at) is None and at in declared(type(config.controller))
+            if f"{group}.{at}" not in given and not asks:
+                changes[at] = value
+        if changes:
+            config = replace(config, **{group: replace(part, **changes)})
+    for name in known.keys() - taken:
+        if f"timing.{name}" in given:
+            advice = "delay=prediction, delay=strapdown" if name == "age" else "delay=prediction, an MPC, an observer"
+            raise UsageError(f"timing.{name}={known[name]:g}: nothing that flies takes it: add {advice}")
+    return config

@@ -1,0 +1,9 @@
+"""What delay and lag a loop tolerates, found before it flies."""
+
+BRINGS = {
+    "services": {
+        "loop_margins": "quadexp.plugins.margins.loop_margins:loop_margins",
+        "instability": "quadexp.plugins.margins.loop_margins:instability",
+        "path_margins": "quadexp.plugins.margins.loop_margins:path_margins",
+    }
+}
