@@ -57,7 +57,7 @@ LANDMARKS = {
     "table": ("report.inference.mean_interval",),
 }
 CONFIGURING = 10  # modules from the words of the command line to the first period
-ENTERED = 59  # modules in which a line runs, of all
+ENTERED = 60  # modules in which a line runs, of all; of plugin.py that which names the plug-in of the margins
 MOST = 22  # one of them the integrator that all plants share
 
 
