@@ -126,7 +126,7 @@ reproduce-sun: $(STAMP)
 # Settings tuned with the same budget for every controller, on the same cells (Lei & Li's, on their vehicle); what is
 # found becomes options of conf/. A controller, and what is around it behind commas.
 TUNED := nominal_mpc linear_drag_mpc gp_mpc online_mpc streaming_gp_mpc geometric pid dfbc rotorpy_se3 \
-	nominal_mpc,observer=disturbance nominal_mpc,adaptive=l1 gp_mpc,observer=wind dfbc,inner=indi \
+	nominal_mpc,observer=disturbance nominal_mpc,adaptive=l1 gp_mpc,observer=wind dfbc,rate_loop=indi \
 	static_feedback rls_feedback rls_mpc
 TUNE_ON := world=clean,only_wind,everything trajectory=circle,lemniscate trajectory.speed=8
 TUNE_LEI_LI := vehicle=lei_li plant=blade_element sensor=lei_li

@@ -1,14 +1,14 @@
 """Vehicles, sensors, worlds and paths drawn from a seed, each flown with remedies=auto and without: who is lost, who is
-worse, and how often the 95 % bands of what was believed at the end contain the truth.
+worse, and how often the 95 % bands of what was assumed at the end contain the truth.
 
     python -m benchmarks.draws --seed 7 --draws 100 --out draws.jsonl    # goes on where the file ends
     python -m benchmarks.draws --wider --seed 7 --out wider.jsonl        # what wider_draws.py draws
 
 First a vehicle is drawn: one of VEHICLES with 70 to 130 % of its mass and of each moment of inertia, which no
-controller is told, its sensors and its world. It flies EACH times; of each flight a data sheet wrong by up to a factor
+controller is given, its sensors and its world. It flies EACH times; of each flight a data sheet wrong by up to a factor
 of three, a path, a speed, lowered until the vehicle could fly it, a controller and a seed are drawn. Drag and noise of
 plant=simplified, which are of a vehicle of 1 kg, grow with the mass. Where auto is lost, perfect_mpc flies the draw
-with the true vehicle, an observer of the wind, and the delays told.
+with the true vehicle, an observer of the wind, and the delays given.
 """
 
 from __future__ import annotations
@@ -55,15 +55,15 @@ WORLDS = (
     "only_battery", "only_wind", "everything", "race", *OWN_SENSORS,
 )  # fmt: skip
 PATHS = "circle", "lemniscate", "random", "rectangle"
-TOLD = "horizon=firm", "motor=states", "observer=wind", "observer.targets=false", "delay=prediction"  # told the delays
+TOLD = "horizon=firm", "motor=states", "observer=wind", "observer.targets=false", "delay=prediction"  # given the delays
 EACH = 8
 OFF, SHEET, SPEEDS = (0.7, 1.3), 3.0, (3.0, 9.0)  # factors of the vehicle; of data sheets; m/s
 SLOWER = 0.85  # a speed that the vehicle cannot fly, by this
 
 
 def drawn(seed: int, number: int) -> tuple[list[str], list[str], list[str]]:
-    """Settings of a draw: what all flights of it have in common; controller and true vehicle as controllers are told
-    nothing; and as perfect_mpc is told all but the delays."""
+    """Settings of a draw: what all flights of it have in common; controller and true vehicle as controllers are given
+    nothing; and as perfect_mpc is given all but the delays."""
     rng = np.random.default_rng([seed, number // EACH])
 
     def one(names: tuple[str, ...]) -> str:
@@ -105,7 +105,7 @@ def of_size(config: Config) -> list[str]:
 
 
 def flyable(settings: list[str]) -> bool:
-    """Whether the path is within the thrust of the vehicle that is believed and of the true one."""
+    """Whether the path is within the thrust of the vehicle that is assumed and of the true one."""
     config = compose(settings, EXAMPLES)
     vehicle = build_vehicle(config.vehicle)
     try:
@@ -117,7 +117,7 @@ def flyable(settings: list[str]) -> bool:
 
 
 def flown(seed: int, number: int, wider: bool = False) -> dict[str, Any]:
-    """What came of a draw: errors (m) and outcomes, and what auto believed at the end."""
+    """What came of a draw: errors (m) and outcomes, and what auto assumed at the end."""
     from benchmarks.wider_draws import drawn_wider, missing_readings
 
     common, untold, told, missing = drawn_wider(seed, number) if wider else (*drawn(seed, number), 0.0)
@@ -181,7 +181,7 @@ def summary(records: list[dict[str, Any]]) -> str:
         "lost without": sum(r["none"]["outcome"] != "ok" for r in records),
         "lost with auto": len(lost),
         "lost with auto, not without": sum(r["none"]["outcome"] == "ok" for r in lost),
-        "lost with auto, perfect_mpc told all flies": len(told),
+        "lost with auto, perfect_mpc given all flies": len(told),
         "which are rectangles": sum("rectangle" in " ".join(r["settings"]) for r in told),
         f"better than without, of {counted}": f"{((ratios < 1).sum() + saved) / max(counted, 1):.3f}",
         "ratio to without: geometric mean": f"{np.exp(np.log(ratios).mean()):.3f}",

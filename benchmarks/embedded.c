@@ -1,4 +1,4 @@
-/* An exported controller in an emulator: embedded.py writes what it is told and reads what it answers. */
+/* An exported controller in an emulator: embedded.py writes what it is given and reads what it answers. */
 #include "controller.h"
 
 qx_real t_state[13], t_force[3], t_speed[QX_ROTORS], t_command[QX_ROTORS];

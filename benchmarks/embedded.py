@@ -146,8 +146,8 @@ class Board:
         return {"flash": found[".text"] + found.get(".rodata", 0) + data, "ram": data + found.get(".bss", 0)}
 
 
-class Told:
-    """An exported folder's recorded flight, told to its program row by row."""
+class InputArrays:
+    """An exported folder's recorded flight, given to its program row by row."""
 
     def __init__(self, folder: Path, board: Board) -> None:
         about: dict[str, Any] = json.loads((folder / "model.json").read_text())
@@ -157,7 +157,7 @@ class Told:
         self.rows = np.fromfile(folder / "vectors.bin", self.real).astype(float).reshape(-1, width)
         self.commands = self.rows[:, -1 - self.rotors : -1]
 
-    def tell(self, k: int) -> None:
+    def set_measurement(self, k: int) -> None:
         """See plugins/vehicle/record.py."""
         n, row = self.rotors, self.rows[k]
         window = len(row) - BODY - 3 - 2 * n - 1
@@ -177,14 +177,14 @@ def measured(folder: Path, cpu: str) -> dict[str, Any]:
     """A row of the table."""
     with tempfile.TemporaryDirectory() as scratch:
         board = Board(linked(folder, cpu, Path(scratch)))
-        told = Told(folder, board)
+        told = InputArrays(folder, board)
         largest = int(np.abs(told.commands).max(axis=1).argmax())
         steps, begun, apart = list[int](), list[int](), 0.0
         for first, last in ((0, STEPS), (max(largest - AROUND, 0), min(largest + AROUND, len(told.rows) - 1))):
-            told.tell(first)
+            told.set_measurement(first)
             board.call("t_reset")
             for k in range(first, last + 1):
-                told.tell(k)
+                told.set_measurement(k)
                 (begun if k == first else steps).append(board.call("t_step"))
                 apart = max(apart, told.apart(k)) if first == 0 else apart
         numbers = {"step": int(np.median(steps[:STEPS])), "worst": max(steps), "first": max(begun)}

@@ -24,7 +24,9 @@ from quadexp.parts.compose import compose
 ROUNDS = 15
 NOISE = "sensor.accelerometer_noise=[0.05,0.05,0.05]"
 SPEEDS = "vehicle.thrust_coefficient=1.2e-5 actuator=speed_lag_30ms controller.allow_unstable=true"
-SCALES = "observer=disturbance observer.scale_walk=0.005 observer.air_walk=0.01 observer.torque_bandwidth=0 inner=indi"
+SCALES = (
+    "observer=disturbance observer.scale_walk=0.005 observer.air_walk=0.01 observer.torque_bandwidth=0 rate_loop=indi"
+)
 LOOPS = (
     "controller=nominal_mpc",
     f"controller=nominal_mpc remedies=offset_free {NOISE}",
@@ -36,7 +38,7 @@ LOOPS = (
     "controller=geometric adaptive=l1",
     "controller=pid",
     "controller=dfbc",
-    "controller=dfbc inner=indi inner.rate=300",
+    "controller=dfbc rate_loop=indi rate_loop.rate=300",
 )
 
 

@@ -3,7 +3,7 @@
     python -m benchmarks.memory [--only delays export ...]
 
 delays    `identify --method delays` of a flight at 200 Hz
-export    `export --to csv` of a flight with all that is told, at 50 Hz
+export    `export --to csv` of a flight with all that is given, at 50 Hz
 fit       `fit-gp` with 200 points in every GP, without figures
 figures   `evaluate` of one long flight, with its figure of the path; also the largest file that it draws (MB)
 nodes     the first step of an MPC with so many nodes, which is compiled

@@ -156,7 +156,7 @@ def table(found: dict[str, Any], top: int) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("work", nargs="*", metavar="WORK", help=f"{', '.join(WORK)}; all of them unless told")
+    parser.add_argument("work", nargs="*", metavar="WORK", help=f"{', '.join(WORK)}; all of them unless given")
     parser.add_argument("--case", default="gp20", choices=CASES, help="correction of the flight's controller")
     parser.add_argument("--top", type=int, default=12, help="lines of a table")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the tables")

@@ -3,7 +3,7 @@
     python -m benchmarks.remedies [--rounds 20] [--json]
 
 Each contestant is the whole step of a controller in a loop of the user's own (ControlLoop.step: one call into C), on
-what it was told in a flight on the circle, in wind and with the delays that it knows; a round is one pass of each over
+what it was given in a flight on the circle, in wind and with the delays that it knows; a round is one pass of each over
 its own record, so that a slow moment of the machine meets all. Of every step of a record the least over the rounds is
 taken, which other work on the machine does not touch; printed are the medians and means over the steps, and their
 ratios to the first row, in one run. The two differ where a few steps cost more, such as those of
@@ -32,7 +32,7 @@ from quadexp.experiment.build import build_vehicle, build_world
 from quadexp.loop import ControlLoop
 from quadexp.models.terms import adapting_terms
 from quadexp.parts.compose import compose
-from quadexp.parts.sensor_sheet import SensorSheet
+from quadexp.parts.sensor_spec import SensorSpec
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.auto.around_mpc import AutoMPC
 from quadexp.plugins.remedies.delay.prediction import Prediction
@@ -90,12 +90,12 @@ def contestants(vehicle: Vehicle) -> dict[str, Controller]:
         ).around(still.around(mpc())),
         f"{CASE}, observer=wind, delay=strapdown": strapdown(wind.around(mpc())),
         f"{CASE}, observer=wind, delay=prediction": prediction(wind.around(mpc())),
-        f"{CASE}, remedies=auto": AutoMPC(mpc(input_hold="deviation"), SensorSheet()),
+        f"{CASE}, remedies=auto": AutoMPC(mpc(input_hold="deviation"), SensorSpec()),
     }
 
 
 def flown(loop: ControlLoop) -> Log:
-    """What a controller is told on the circle in a gusty wind."""
+    """What a controller is given on the circle in a gusty wind."""
     controller, world = loop.controller, loop.plant
     x, reading, rng = loop.start, None, np.random.default_rng(0)
     noise = world.begin(x, loop.period, float(loop.times[-1]) + 1.0, rng)

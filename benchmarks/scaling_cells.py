@@ -41,7 +41,7 @@ def timed_cell(config: Any, model: Any, path: str, key: str) -> dict[str, Any]:
 
 
 def clocks() -> tuple[float, float, float]:
-    """Wall clock, processor time of this thread, and time for which it waited for a core (s; 0 where not told)."""
+    """Wall clock, processor time of this thread, and time for which it waited for a core (s; 0 where not given)."""
     try:
         waited = float(Path("/proc/thread-self/schedstat").read_text().split()[1]) / 1e9
     except OSError:

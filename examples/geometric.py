@@ -28,9 +28,9 @@ class Geometric(Law):
 
     logged = ("error",)  # a column of every flight; what it should remember would be named in `memory`
 
-    def equations(self, vehicle, given, memory):
+    def equations(self, vehicle, inputs, memory):
         """Called once: CasADi expressions of what is measured and of the reference, for the command."""
-        x, reference, path = given.state, given.reference, given.path
+        x, reference, path = inputs.state, inputs.reference, inputs.path
         R, w, R_ref = rotation_matrix(x[ATTITUDE]), x[RATE], rotation_matrix(reference[ATTITUDE])
         error_p, error_v = x[POSITION] - path[:, 0], x[VELOCITY] - path[:, 1]
         force = path[:, 2] + ca.DM([0, 0, vehicle.gravity]) - self.position * error_p - self.velocity * error_v

@@ -1,4 +1,4 @@
-"""A remedy of your own, around any controller: an integral of the height's error, added to its thrusts.
+"""A compensation of your own, around any controller: an integral of the height's error, added to its thrusts.
 
 i' = p_z - p_z,ref,  |i| <= limit,    u = u_b - G^+ [m k i, 0, 0, 0]        G: thrusts -> collective thrust and torques
 """
@@ -25,14 +25,14 @@ class HeightIntegral(LayerPart):
 
     logged = {"integral": ("height_integral",)}  # columns of every flight
 
-    def remembers(self, given):
+    def remembers(self, inputs):
         """Names, and how many numbers there are of each; zero when a flight begins."""
         return {"integral": 1}
 
-    def after(self, vehicle, given, memory, found):
+    def after(self, vehicle, inputs, memory, found):
         """Called once: CasADi expressions of what is measured and of the command of the controller inside."""
-        error = given.state[2] - given.path[2, 0]
-        integral = limited(memory.integral + given.period * error, -self.limit, self.limit)
+        error = inputs.state[2] - inputs.path[2, 0]
+        integral = limited(memory.integral + inputs.period * error, -self.limit, self.limit)
         up = ca.DM(np.linalg.pinv(vehicle.allocation)[:, 0])
-        thrusts = given.command - up * vehicle.mass * self.gain * integral
+        thrusts = inputs.command - up * vehicle.mass * self.gain * integral
         return {"command": limited(thrusts, vehicle.thrust_min, vehicle.thrust_max), "integral": integral}

@@ -26,8 +26,8 @@ class MotorLag(PlantPart):
     time_constant: float = key(0.03, "tau of the rotors' thrusts", "[0.001, 1]", "s")
     drag: Triple = key((0.3, 0.3, 0.1), "D, body axes", "[0, 100]", "1/s")
 
-    def build(self, given):
-        return MotorLagPlant(given.vehicle, step=self.step, time_constant=self.time_constant, drag=self.drag)
+    def build(self, context):
+        return MotorLagPlant(context.vehicle, step=self.step, time_constant=self.time_constant, drag=self.drag)
 
 
 class MotorLagPlant(SimulatedPlant):
@@ -56,5 +56,5 @@ class MotorLagPlant(SimulatedPlant):
         return thrust
 
     def residual(self):
-        """What perfect_mpc is told: these equations as a Residual, as far as it can know them."""
+        """What perfect_mpc is given: these equations as a Residual, as far as it can know them."""
         return linear_drag_residual(self.vehicle, self.drag, source="motor_lag plant, without its lag")

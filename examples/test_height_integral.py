@@ -1,4 +1,4 @@
-"""What a remedy must do: nothing where there is nothing to mend, its work where there is, and the same in C."""
+"""What a compensation must do: nothing where there is nothing to mend, its work where there is, and the same in C."""
 
 from pathlib import Path
 

@@ -48,7 +48,7 @@ def test_the_accelerometer_reads_what_the_velocity_changes_by(plant):
 
 
 def test_it_can_be_flown_and_its_equations_do_no_harm():
-    """perfect_mpc is told residual(), nominal_mpc is not. Where there is little air, both fly the same."""
+    """perfect_mpc is given residual(), nominal_mpc is not. Where there is little air, both fly the same."""
     nominal, perfect = (
         qx.simulate("plant=motor_lag", f"controller={name}", "trajectory=circle", speed=4, conf=HERE)
         for name in ("nominal_mpc", "perfect_mpc")

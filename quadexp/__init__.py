@@ -5,6 +5,7 @@
 The names of the Python API (docs/api.md) are imported when they are first used, so that `import quadexp` stays light.
 """
 
+import sys
 from importlib import import_module
 
 __version__ = "0.1.0"
@@ -32,6 +33,18 @@ _API = {
 }
 
 
+class _FormerModules:
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> object:
+        """Of a module that has another name now; asked when nothing else knows the name."""
+        if not name.startswith("quadexp.") or name == "quadexp.parts.former":
+            return None
+        return import_module("quadexp.parts.former").find_spec(name)
+
+
+sys.meta_path.append(_FormerModules)  # type: ignore[arg-type]
+
+
 def _places() -> dict[str, str]:
     """Name of the Python API -> MODULE:ATTRIBUTE, of the core and of plug-ins."""
     plugin = import_module("quadexp.plugin")
@@ -45,8 +58,8 @@ def __getattr__(name: str) -> object:
     if place is None:
         raise AttributeError(f"module 'quadexp' has no attribute {name!r}")
     module, _, attribute = place.partition(":")
-    found = globals()[name] = getattr(import_module(module), attribute)
-    return found
+    attribute_value = globals()[name] = getattr(import_module(module), attribute)
+    return attribute_value
 
 
 def __dir__() -> list[str]:

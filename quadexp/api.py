@@ -24,6 +24,7 @@ from quadexp.errors import UsageError
 from quadexp.frames import Checkpoint, Dataset, Flight, Frame, Results
 from quadexp.log.store import read_flight, read_metadata, read_table, write_table
 from quadexp.names import SPELLINGS
+from quadexp.parts.former import GROUPS as FORMER_GROUPS
 from quadexp.parts.options import Folders, Place, given_folders
 from quadexp.parts.override import GROUPS, MOST_CELLS, in_grammar
 from quadexp.parts.schema import Config
@@ -32,14 +33,19 @@ from quadexp.plugin import brought
 from quadexp.progress import Progress
 from quadexp.requests import RESULTS
 
-Given = str | Mapping[str, Any]
+OverrideLike = str | Mapping[str, Any]
 SINGLE = (str, os.PathLike, pd.DataFrame)  # what stands for a list of itself, where several are taken
 MODEL = "model.json"
-TOP = {*GROUPS, *declared(Config), *SPELLINGS}  # keys of the command line that stand in no group, and the groups
+TOP = {
+    *GROUPS,
+    *declared(Config),
+    *SPELLINGS,
+    *FORMER_GROUPS,
+}  # keys of the command line that stand in no group, and the groups
 
 
 def simulate(
-    *settings: Given, out: Place | None = None, conf: Folders = None, force: bool = False, **keywords: Any
+    *settings: OverrideLike, out: Place | None = None, conf: Folders = None, force: bool = False, **keywords: Any
 ) -> Flight:
     """Fly one configuration, as `quadexp simulate`.
 
@@ -52,7 +58,7 @@ def simulate(
 
 
 def collect(
-    *settings: Given,
+    *settings: OverrideLike,
     flights: Place | Flight | Iterable[Place | Flight] = (),
     out: Place | None = None,
     conf: Folders = None,
@@ -77,7 +83,7 @@ def collect(
 def fit(
     model: str,
     data: Place | Dataset,
-    *settings: Given,
+    *settings: OverrideLike,
     out: Place | None = None,
     conf: Folders = None,
     force: bool = False,
@@ -98,23 +104,23 @@ def fit(
     return Checkpoint(path, scratch if out is None else None)
 
 
-def fit_gp(data: Place | Dataset, *settings: Given, **keywords: Any) -> Checkpoint:
+def fit_gp(data: Place | Dataset, *settings: OverrideLike, **keywords: Any) -> Checkpoint:
     """Fit Gaussian processes, and linear drag to the same rows: fit("gaussian_process", data, ...)."""
     return fit("gp", data, *settings, **keywords)
 
 
-def fit_drag(data: Place | Dataset, *settings: Given, **keywords: Any) -> Checkpoint:
+def fit_drag(data: Place | Dataset, *settings: OverrideLike, **keywords: Any) -> Checkpoint:
     """Fit linear rotor drag: fit("linear_drag", data, ...)."""
     return fit("drag", data, *settings, **keywords)
 
 
-def fit_nn(data: Place | Dataset, *settings: Given, **keywords: Any) -> Checkpoint:
+def fit_nn(data: Place | Dataset, *settings: OverrideLike, **keywords: Any) -> Checkpoint:
     """Fit a neural network: fit("neural", data, ...)."""
     return fit("nn", data, *settings, **keywords)
 
 
 def sweep(
-    *settings: Given,
+    *settings: OverrideLike,
     out: Place | None = None,
     conf: Folders = None,
     force: bool = False,
@@ -142,11 +148,11 @@ def sweep(
 
 def request_of(kind: type[S], keywords: dict[str, Any]) -> S:
     """The record of a request, whose keys are taken from the keywords; one value stands for a list of one."""
-    given = {name: keywords.pop(name) for name in declared(kind) if name in keywords}
-    for name, value in given.items():
+    stated = {name: keywords.pop(name) for name in declared(kind) if name in keywords}
+    for name, value in stated.items():
         if get_origin(declared(kind)[name].type) is tuple and isinstance(value, SINGLE):
-            given[name] = (value,)
-    return kind(**given)
+            stated[name] = (value,)
+    return kind(**stated)
 
 
 def load(path: Place, conf: Folders = None) -> Flight | Dataset | Results | Checkpoint | Frame:
@@ -206,13 +212,13 @@ def _path(place: Place | None) -> Path | None:
     return None if place is None else Path(place)
 
 
-def _file(given: Place | pd.DataFrame, scratch: Scratch, name: str) -> Path:
+def _file(source: Place | pd.DataFrame, scratch: Scratch, name: str) -> Path:
     """The file of what is given as one, or as a table."""
-    if not isinstance(given, pd.DataFrame):
-        return Path(given)
-    if not isinstance(given, Frame):
+    if not isinstance(source, pd.DataFrame):
+        return Path(source)
+    if not isinstance(source, Frame):
         raise UsageError("a table without its record: give what quadexp returned, or the path of a file")
-    return write_table(scratch / f"{name}.parquet", given.columns_as_arrays(), given.record, given.kind)
+    return write_table(scratch / f"{name}.parquet", source.columns_as_arrays(), source.record, source.kind)
 
 
 def progress_of(label: str, wanted: bool) -> Any:
@@ -222,23 +228,23 @@ def progress_of(label: str, wanted: bool) -> Any:
 
 # ------------------------------------------------------------------------------------------------------------- settings
 def overrides(
-    given: Sequence[Given], keywords: Mapping[str, Any], group: str = "trajectory", *, lists: bool = False
+    settings: Sequence[OverrideLike], keywords: Mapping[str, Any], group: str = "trajectory", *, lists: bool = False
 ) -> list[str]:
     """Every setting as KEY=VALUE, in order.
 
-    given: texts KEY=VALUE as on the command line, and dictionaries {key: value}, where a key may be dotted and a value
-    a dictionary of its own. keywords: the same; a name that is no key of the configuration belongs to `group`: speed=8
-    is trajectory.speed=8. lists: a list is several values of a sweep, and a list inside it one value.
+    settings: texts KEY=VALUE as on the command line, and dictionaries {key: value}, where a key may be dotted and a
+    value a dictionary of its own. keywords: the same; a name that is no key of the configuration belongs to `group`:
+    speed=8 is trajectory.speed=8. lists: a list is several values of a sweep, and a list inside it one value.
     Raises UsageError for what is neither.
     """
     texts: list[str] = []
-    for one in given:
-        if isinstance(one, str):
-            texts.append(one)
-        elif isinstance(one, Mapping):
-            texts += _pairs(one, "", lists)
+    for setting in settings:
+        if isinstance(setting, str):
+            texts.append(setting)
+        elif isinstance(setting, Mapping):
+            texts += _pairs(setting, "", lists)
         else:
-            raise UsageError(f"{one!r}: settings are text KEY=VALUE, dictionaries or keywords")
+            raise UsageError(f"{setting!r}: settings are text KEY=VALUE, dictionaries or keywords")
     full = {name if name.partition(".")[0] in TOP else f"{group}.{name}": value for name, value in keywords.items()}
     return [*texts, *_pairs(full, "", lists)]
 
@@ -255,6 +261,6 @@ def _pairs(values: Mapping[str, Any], prefix: str, lists: bool) -> Iterator[str]
                 raise UsageError(f"{key}: an empty list leaves nothing to fly")
             if len(value) > MOST_CELLS:
                 raise UsageError(f"{key}: {len(value)} values; a sweep has at most {MOST_CELLS} cells")
-            yield f"{key}={','.join(in_grammar(key, one) for one in value)}"
+            yield f"{key}={','.join(in_grammar(key, item) for item in value)}"
         else:
             yield f"{key}={in_grammar(key, value)}"

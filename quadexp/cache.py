@@ -73,17 +73,17 @@ def _checked(path: Path) -> int:
         for part in [*reversed(path.parents), path][1:]:
             above, fd = fd, _entered(fd, part.name)
             os.close(above)
-            found = os.fstat(fd)
-            own, last = found.st_uid == os.getuid(), part == path
-            if not own and (last or not (closed or found.st_uid == root)):
+            status = os.fstat(fd)
+            is_ours, last = status.st_uid == os.getuid(), part == path
+            if not is_ours and (last or not (closed or status.st_uid == root)):
                 raise QuadexpError(f"{part}: belongs to another user, set QUADEXP_CACHE to a folder of your own")
-            if found.st_mode & 0o022 and (last or not (closed or found.st_mode & stat.S_ISVTX)):
+            if status.st_mode & 0o022 and (last or not (closed or status.st_mode & stat.S_ISVTX)):
                 where = "there" if last else f"below, in {path},"
                 raise QuadexpError(
                     f"{part}: others may write there, and what lies {where} is executed; chmod go-w it, or set"
                     " QUADEXP_CACHE"
                 )
-            closed |= own and not found.st_mode & 0o011
+            closed |= is_ours and not status.st_mode & 0o011
     except BaseException:
         os.close(fd)
         raise
@@ -102,19 +102,19 @@ def _entered(above: int, name: str) -> int:
 
 def libraries(folder: CacheFolder) -> dict[Path, os.stat_result]:
     """The libraries and what is known of them, the one first that was not used for longest (its time of change)."""
-    found = {}
+    entries = {}
     for entry in os.scandir(folder.inside):
         with contextlib.suppress(OSError):  # removed by another process
             if _LIBRARY.fullmatch(entry.name):
-                found[Path(entry.path)] = entry.stat(follow_symlinks=False)
-    return dict(sorted(found.items(), key=lambda item: item[1].st_mtime))
+                entries[Path(entry.path)] = entry.stat(follow_symlinks=False)
+    return dict(sorted(entries.items(), key=lambda item: item[1].st_mtime))
 
 
 def thin(folder: CacheFolder, newest: Path) -> None:
     """Keep the libraries below their bound, and remove what compilations left that were killed long ago."""
-    found = libraries(folder)
-    total = sum(about.st_size for about in found.values())
-    for library, about in found.items():
+    entries = libraries(folder)
+    total = sum(about.st_size for about in entries.values())
+    for library, about in entries.items():
         if total > BOUND and library.name != newest.name:
             total -= about.st_size
             for path in (library, library.with_suffix(".sha256")):

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from quadexp.api import Given, overrides
+from quadexp.api import OverrideLike, overrides
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.compiled_loop import CompiledReference, UserLoop, goes_in_c
-from quadexp.control.instant import stepped
+from quadexp.control.control_step import stepped
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.readings import ReadingGate
@@ -30,7 +30,7 @@ from quadexp.physics.state import RATE
 from quadexp.reference.base import Trajectory
 
 
-def controller(*settings: Given, conf: Folders = None, **keywords: Any) -> ControlLoop:
+def controller(*settings: OverrideLike, conf: Folders = None, **keywords: Any) -> ControlLoop:
     """The configured controller with the configured trajectory; settings as for qx.simulate.
 
     Builds everything, which compiles on first use: do it before take-off.
@@ -39,8 +39,8 @@ def controller(*settings: Given, conf: Folders = None, **keywords: Any) -> Contr
     with unshared():  # two loops of the same settings are two controllers
         vehicle = build_vehicle(config.vehicle)
         plant = build_world(config, vehicle)
-        made = build_controller(config, vehicle, plant, find_model(config))
-    return ControlLoop(made, build_trajectory(config.trajectory, vehicle), plant)
+        product = build_controller(config, vehicle, plant, find_model(config))
+    return ControlLoop(product, build_trajectory(config.trajectory, vehicle), plant)
 
 
 class ControlLoop:
@@ -61,7 +61,7 @@ class ControlLoop:
         self._record: StepRecord | None
         self._took: float  # s, of a step in C whose record has not been asked for; otherwise 0
         self._compiled: UserLoop | None
-        self._asked: Any  # the operations of which it is known whether they go in C
+        self._asked: Any  # the calls of which it is known whether they go in C
         self.follow(trajectory)
 
     @property
@@ -100,19 +100,19 @@ class ControlLoop:
 
         Raises UsageError, with nothing changed, for other names, sizes or what is not finite."""
         running = self._declared()
-        kept, given = running.memory, {name: np.ravel(values) for name, values in dict(memory).items()}
-        if kept.keys() != given.keys():
-            raise UsageError(f"restore: it remembers {', '.join(kept) or 'nothing'}; {', '.join(given)} is given")
-        for name, values in given.items():
+        kept, stored = running.memory, {name: np.ravel(values) for name, values in dict(memory).items()}
+        if kept.keys() != stored.keys():
+            raise UsageError(f"restore: it remembers {', '.join(kept) or 'nothing'}; {', '.join(stored)} is given")
+        for name, values in stored.items():
             if values.dtype.kind not in "fiu" or values.size != kept[name].size or not np.isfinite(values).all():
                 raise UsageError(f"restore: {name} must have {kept[name].size} finite numbers, it has {values.size}")
-        for one in running.instant.memory:
-            one.restore(np.concatenate([np.zeros(0), *(given[f"{one.owner}.{name}"] for name in one.sizes)]))
-        if running.instant.plan is not None:
-            running.instant.plan.mpc.go_on()
+        for part in running.control_step.memory:
+            part.restore(np.concatenate([np.zeros(0), *(stored[f"{part.owner}.{name}"] for name in part.sizes)]))
+        if running.control_step.plan is not None:
+            running.control_step.plan.mpc.go_on()
 
     def _declared(self) -> Any:
-        """The operations of the controller, in a flight that has begun."""
+        """The calls of the controller, in a flight that has begun."""
         if not self._begun:
             self.reset()
         running = getattr(self.controller, "running", None)

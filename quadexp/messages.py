@@ -148,9 +148,9 @@ MOST_NAMED = 8  # names that a question lists at most
 LIKE = 0.6  # of 1: likeness from which a name may have been meant
 
 
-def suggestion(found: str, known: Sequence[str], listed: Sequence[str] | None = None) -> str:
+def suggestion(unknown: str, known: Sequence[str], listed: Sequence[str] | None = None) -> str:
     """A name that may have been meant, or the names that exist, as the end of an error message."""
-    near = ending_in(found, known) or _nearest(found, known)
+    near = ending_in(unknown, known) or _nearest(unknown, known)
     if near:
         more = ", ..." if len(near) > MOST_NAMED else ""
         return f"; did you mean {' or '.join(near[:MOST_NAMED])}{more}?"
@@ -158,18 +158,18 @@ def suggestion(found: str, known: Sequence[str], listed: Sequence[str] | None = 
     return f"; there are: {', '.join(names[:12])}{', ...' if len(names) > 12 else ''}" if names else ""
 
 
-def ending_in(found: str, known: Sequence[str]) -> list[str]:
+def ending_in(unknown: str, known: Sequence[str]) -> list[str]:
     """The dotted names that end in the given one: trajectory.speed for speed, model.features.a_x for features.a_x."""
-    return [name for name in known if name.endswith(f".{found}")]
+    return [name for name in known if name.endswith(f".{unknown}")]
 
 
-def _nearest(found: str, known: Sequence[str]) -> list[str]:
+def _nearest(unknown: str, known: Sequence[str]) -> list[str]:
     """The names most like the given one; of a name without dots, the last parts of dotted ones count as names too."""
 
     def likeness(name: str) -> float:
         group, _, leaf = name.rpartition(".")
-        shared = found.removeprefix(f"{group}.") if group else found
-        pair = (found, name) if "." in shared else (shared, leaf)
+        shared = unknown.removeprefix(f"{group}.") if group else unknown
+        pair = (unknown, name) if "." in shared else (shared, leaf)
         return difflib.SequenceMatcher(None, *pair).ratio()
 
     scores = {name: likeness(name) for name in known}

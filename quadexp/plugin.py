@@ -119,17 +119,17 @@ def service(name: str, wanted: str) -> Any:
     """What a plug-in does for the core. wanted: what was asked for, for the message.
 
     Raises UsageError where no plug-in brings it."""
-    found = brought("services", name)
-    if found is None:
+    brought_service = brought("services", name)
+    if brought_service is None:
         raise UsageError(f"{wanted}: no plug-in that is there brings {name!r} (quadexp/plugins)")
-    return found
+    return brought_service
 
 
 def _found(place: str) -> Any:
     """What stands at MODULE or MODULE:ATTRIBUTE."""
     module, _, attribute = place.partition(":")
-    found = importlib.import_module(module)
-    return getattr(found, attribute) if attribute else found
+    attribute_value = importlib.import_module(module)
+    return getattr(attribute_value, attribute) if attribute else attribute_value
 
 
 @cache
@@ -161,15 +161,15 @@ def _outside() -> dict[str, dict[str, tuple[str, str]]]:
 @cache
 def entry_points(group: str) -> dict[str, str]:
     """Name -> value of the entry points of a group, of all packages on sys.path; the first of a name counts."""
-    found: dict[str, str] = {}
+    points: dict[str, str] = {}
     for folder in map(Path, sys.path):
         names = os.listdir(folder) if folder.is_dir() else []
         for name in sorted(name for name in names if name.endswith((".dist-info", ".egg-info"))):
             file = folder / name / "entry_points.txt"
             text = file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
             if f"[{group}]" in text:
-                found = _points(text, group) | found
-    return found
+                points = _points(text, group) | points
+    return points
 
 
 def _points(text: str, group: str) -> dict[str, str]:

@@ -19,7 +19,7 @@ PATIENCE, AGAIN = 3.0, 0.5  # s, after which a command says what it does, and ho
 
 
 class Waiting:
-    """with Waiting("import"): a line "import: FILE (12 s)" on a terminal while it takes long; see `doing`."""
+    """with Waiting("import"): a line "import: FILE (12 s)" on a terminal while it takes long; see `set_status`."""
 
     now: Waiting | None = None
 
@@ -67,7 +67,7 @@ class Waiting:
                 self._shown = True
 
 
-def doing(what: object) -> None:
+def set_status(what: object) -> None:
     """What the command that runs is about, for a user who waits."""
     if Waiting.now is not None:
         Waiting.now.what = printable(what)

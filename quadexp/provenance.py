@@ -134,15 +134,15 @@ def named_files(path: Path, folders: Iterable[Path]) -> dict[str, Path]:
     for level, folder in enumerate(folders):
         places = [(folder, "../" * level)]
         for place, prefix in places:
-            for text, found in ((text, place / text) for text in texts):
-                if _is_data_file(found):
-                    named.setdefault(prefix + text, found)
-                elif place == folder in Path(os.path.normpath(found)).parents and found.is_dir():
-                    files = [*folder_files(found)]
+            for text, place_named in ((text, place / text) for text in texts):
+                if _is_data_file(place_named):
+                    named.setdefault(prefix + text, place_named)
+                elif place == folder in Path(os.path.normpath(place_named)).parents and place_named.is_dir():
+                    files = [*folder_files(place_named)]
                     if any(file.suffix in (".py", ".yaml") or file.name in RESULTS for file in files):
-                        places.append((found, f"{prefix}{text}/"))
+                        places.append((place_named, f"{prefix}{text}/"))
                     elif files:
-                        named.setdefault(prefix + text, found)
+                        named.setdefault(prefix + text, place_named)
     return named
 
 
@@ -309,7 +309,7 @@ def versions() -> dict[str, str]:
 
     A module that is imported from another place than its installed package is listed with its file.
     """
-    found = {"quadexp": quadexp.__version__, "python": platform.python_version()}
+    numbers = {"quadexp": quadexp.__version__, "python": platform.python_version()}
     for package in PACKAGES:
         try:
             installed = distribution(package)
@@ -318,8 +318,8 @@ def versions() -> dict[str, str]:
         elsewhere = _elsewhere(MODULES.get(package, package), Path(str(installed.locate_file(""))))
         stated = re.search(r"^Version: (\S+)$", installed.read_text("METADATA") or "", re.MULTILINE)
         number = stated[1] if stated else installed.version  # which parses all of it as an e-mail
-        found[package] = number + (f" (imported from {elsewhere})" if elsewhere else "")
-    return found
+        numbers[package] = number + (f" (imported from {elsewhere})" if elsewhere else "")
+    return numbers
 
 
 def _elsewhere(module: str, installed: Path) -> str:
@@ -334,10 +334,10 @@ def _elsewhere(module: str, installed: Path) -> str:
     return origin
 
 
-def libraries(found: Mapping[str, str] | None = None) -> str:
-    """The versions that can change a number of a flight, in one line; found: of a file's record, else this process."""
-    found = versions() if found is None else found
-    return ", ".join(f"{name} {found[name]}" for name in NUMERIC if name in found)
+def libraries(known: Mapping[str, str] | None = None) -> str:
+    """The versions that can change a number of a flight, in one line; known: of a file's record, else this process."""
+    known = versions() if known is None else known
+    return ", ".join(f"{name} {known[name]}" for name in NUMERIC if name in known)
 
 
 @cache

@@ -124,7 +124,7 @@ def evaluate(
 
     figures: None for those of a sweep only. old: cells at `out` flown by other sources than these: refuse, fly again,
     or keep. watch: a page that shows the sweep while it runs. progress: makes the context that shows how far it is; it
-    is handed what makes the table to be shown below, or None. say: is told what to know before it is flown.
+    is handed what makes the table to be shown below, or None. say: is given what to know before it is flown.
     """
     from quadexp.parts.compose import Cell, session
     from quadexp.sweeps.server import start_server
@@ -165,7 +165,7 @@ def evaluate(
         watching or contextlib.nullcontext(),
         Workers(settings.workers, settings.memory or None, preload, calls=FIGURES if figures else 1) as processes,
         drawn_by(out, processes if sweep else None, settings.metric, settings.confidence) as drawn,
-        shown((lambda: watching.shot().table().rich()) if watching else None) as counted,
+        shown((lambda: watching.snapshot().table().rich()) if watching else None) as counted,
     ):
         if watching:
             say(f"watch it in a browser: {watching.path}")
@@ -180,7 +180,7 @@ def evaluate(
             old=old,
             isolate=sweep,
             progress=counted if watching is None else watching.before(counted),
-            landed=watching.landed if watching else lambda row: None,
+            on_result=watching.on_result if watching else lambda row: None,
             flown=drawn.begin if figures else lambda rows, record: None,
             conf=given_folders(conf),
         )
@@ -262,7 +262,7 @@ def collect(
         )
     with session(conf) as composer:
         composer.only("collect --flight" if flights else "collect --sweep" if sweep else "collect", overrides)
-        worlds = [cell.config for cell in composer.expand(overrides).sound()] if sweep else []
+        worlds = [cell.config for cell in composer.expand(overrides).all_valid_or_raise()] if sweep else []
         config = worlds[0] if worlds else composer.compose(overrides)
     path = check_output(out, force=force)
     if save_flights is not None:

@@ -23,7 +23,7 @@ def test_the_installed_wheel_runs_the_first_command_of_readme(tmp_path):
         [*pip, "wheel", "--quiet", "--no-deps", "--wheel-dir", tmp_path, ROOT], capture_output=True, text=True
     )
     if built.returncode and re.search("hatchling|connect|index", built.stderr):
-        pytest.skip("no wheel can be built here: hatchling cannot be had")
+        pytest.skip("no wheel can be built here: hatchling is not found")
     assert built.returncode == 0, built.stderr[-2000:]
     (wheel,) = tmp_path.glob("quadexp-*.whl")
     names = set(zipfile.ZipFile(wheel).namelist())

@@ -25,7 +25,7 @@ WORDS = {float: "number", int: "whole number", bool: "true, false"}
 HEAD = """# Configuration reference
 
 A configuration is one option of every group (`vehicle=torrente`, `plant=simplified`, ...), each a file in
-`conf/<group>/` or an entry of a sheet `conf/options/<name>.yaml`, plus single keys. Everything can be given
+`conf/<group>/` or an entry of an option file `conf/options/<name>.yaml`, plus single keys. Everything can be given
 
 - on the command line: `KEY=VALUE`, such as `trajectory.speed=8` or `controller.position_weight=[20,20,20]`;
 - in a file of your own: a folder laid out as `conf/`, given with `--conf DIR` ([guide](guide.md#your-own-parts));

@@ -44,10 +44,10 @@ class Grouped(TyperGroup):
 
 def command_of(name: str) -> Command:
     """The command of a name. Raises UsageError where a package from outside brings something else."""
-    found = brought("commands", name)
-    if not isinstance(found, Command):
+    brought_command = brought("commands", name)
+    if not isinstance(brought_command, Command):
         raise UsageError(f"command {name}: {places('commands')[name]} is no command of quadexp.cli.command")
-    return found
+    return brought_command
 
 
 def _version(wanted: bool) -> None:

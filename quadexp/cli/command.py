@@ -105,17 +105,17 @@ class Command(NamedTuple):
         parameters += [_parameter("form", str | None, FORMAT, None), _parameter("json", bool, JSON, False)]
         several = {each.name for each in parameters if "list[" in str(each.annotation)}
 
-        def run(form: str | None, json: bool, **given: Any) -> None:
+        def run(form: str | None, json: bool, **values: Any) -> None:
             from quadexp.parts.options import given_folders
 
             with guarded(self.name):
                 note.cache_clear()
                 shown = format_of(form, json)
-                given |= {key: tuple(given[key] or ()) for key in several}
-                given_folders(given.get("conf"))
+                values |= {key: tuple(values[key] or ()) for key in several}
+                given_folders(values.get("conf"))
                 for argument, record in records.items():
-                    given[argument] = record(**{key: given.pop(key) for key in declared(record)})
-                answer = self.function(**given, **({"form": shown} if "form" in hints else {}))
+                    values[argument] = record(**{key: values.pop(key) for key in declared(record)})
+                answer = self.function(**values, **({"form": shown} if "form" in hints else {}))
                 _print(answer, shown, self.name)
 
         run.__name__, run.__doc__ = self.name, inspect.getdoc(self.function)
@@ -135,13 +135,13 @@ def _parameter(name: str, kind: Any, ask: Ask, default: Any) -> inspect.Paramete
     if get_origin(kind) is tuple:
         kind, required = list[get_args(kind)[0]], default is inspect.Parameter.empty  # type: ignore[misc]  # made at run time
         kind, default = (kind, default) if required else (kind | None, None)
-    given: dict[str, Any] = {"help": ask.help, "metavar": ask.metavar or ("FILE" if "Path" in str(kind) else None)}
+    options: dict[str, Any] = {"help": ask.help, "metavar": ask.metavar or ("FILE" if "Path" in str(kind) else None)}
     if ask.complete:
-        given["autocompletion"] = ask.complete
+        options["autocompletion"] = ask.complete
     if ask.word or (default is inspect.Parameter.empty and not ask.flag):
-        about: Any = typer.Argument(**given)
+        about: Any = typer.Argument(**options)
     else:
-        about = typer.Option(*(ask.flag.split() or [f"--{name.replace('_', '-')}"]), **given, min=ask.least)
+        about = typer.Option(*(ask.flag.split() or [f"--{name.replace('_', '-')}"]), **options, min=ask.least)
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, about])
 
 

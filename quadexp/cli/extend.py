@@ -185,7 +185,7 @@ def _texts(template: Template, name: str) -> dict[str, str]:
         names[template.words] = "".join(word[:1].upper() + word[1:] for word in name.split("_"))
 
     def renamed(text: str) -> str:
-        return re.sub("|".join(names), lambda found: names[found[0]], text)
+        return re.sub("|".join(names), lambda match: names[match[0]], text)
 
     folder = examples_folder()
     return {renamed(file): renamed((folder / file).read_text(encoding="utf-8")) for file in files}

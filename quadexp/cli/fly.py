@@ -51,7 +51,7 @@ def evaluate(
     \b
     quadexp evaluate --sweep trajectory=circle,lemniscate trajectory.speed=4,8,12 \\
         controller=nominal_mpc,linear_drag_mpc,gp_mpc,perfect_mpc seed='range(3)' --out results/table1
-    quadexp evaluate --sweep controller='nominal_mpc,dfbc inner=indi,pid adaptive=l1' trajectory=circle
+    quadexp evaluate --sweep controller='nominal_mpc,dfbc rate_loop=indi,pid adaptive=l1' trajectory=circle
     quadexp evaluate --sweep experiment=torrente_table1
     quadexp evaluate --sweep experiment=torrente_table1 --watch
     """

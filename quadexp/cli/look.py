@@ -139,7 +139,7 @@ def show(
     path: Annotated[Path, Ask("A flight, data set, checkpoint folder, or results.")],
     overrides: Overrides = (),
     margins: Annotated[bool, Ask("What delay and motor lag the loop tolerates along the path, from settings.")] = False,
-    beliefs: Annotated[bool, Ask("Of a flight with remedies=auto: what it believed, and what was true.")] = False,
+    beliefs: Annotated[bool, Ask("Of a flight with remedies=auto: what it assumed, and what was true.")] = False,
     cite: Annotated[bool, Ask("BibTeX of the methods that flew, and of this program.")] = False,
     out: Annotated[Path | None, Ask("Draw the beliefs too: a png, pdf or svg.", "PATH", "--out -o")] = None,
     force: Force = False,

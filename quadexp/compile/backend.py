@@ -41,7 +41,7 @@ from quadexp.compile.compiler import (
 from quadexp.compile.symbolic import ca
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.names import sha256_of
-from quadexp.progress import doing
+from quadexp.progress import set_status
 from quadexp.writer import unfollowed, write_text, written
 
 PRODUCT = "void casadi_mtimes_dense("  # one function for all of a library: its sums do not depend on what else is there
@@ -162,7 +162,7 @@ def _library(name: str, sources: Sequence[tuple[str, Sequence[str]]]) -> Path:
 
     def compiled(source: str, flags: Sequence[str]) -> Callable[[Path, Path], None]:
         def make(scratch: Path, built: Path) -> None:
-            doing(f"compiling {name}, once: later flights take it from the cache")
+            set_status(f"compiling {name}, once: later flights take it from the cache")
             code = scratch / "built.c"
             code.write_text(source, encoding="utf-8")
             run_compiler([*flags, "-c", str(code), "-o", str(built)], f"compile {name}", str(scratch))
@@ -263,11 +263,11 @@ class BufferedFunction:
         self.results = {}
         for i, name in enumerate(function.name_in()):
             fresh = array_for(function.sparsity_in(i))
-            self.arguments[name] = given = (shared or {}).get(name, fresh)
-            if given.shape != fresh.shape or given.dtype != fresh.dtype or not given.flags.c_contiguous:
+            self.arguments[name] = argument = (shared or {}).get(name, fresh)
+            if argument.shape != fresh.shape or argument.dtype != fresh.dtype or not argument.flags.c_contiguous:
                 raise ValueError(f"{function.name()}: the array shared as {name} must be like {fresh.shape} floats")
-            if given.size:
-                self._buffer.set_arg(i, given.reshape(-1).data)
+            if argument.size:
+                self._buffer.set_arg(i, argument.reshape(-1).data)
         for i, name in enumerate(function.name_out()):
             self.results[name] = fresh = array_for(function.sparsity_out(i))
             if into is not None and name in into:
@@ -283,10 +283,10 @@ class BufferedFunction:
     def each(self, values: np.ndarray) -> np.ndarray:
         """First result at many values of the first argument, (k, size) -> (k, result size); only of a compiled one."""
         argument, result = next(iter(self.arguments.values())), next(iter(self.results.values()))
-        given, results = np.ascontiguousarray(values, float), np.empty((len(values), result.size))
-        if given.shape != (len(values), argument.size) or self.for_c is None:
+        inputs, results = np.ascontiguousarray(values, float), np.empty((len(values), result.size))
+        if inputs.shape != (len(values), argument.size) or self.for_c is None:
             raise ValueError(f"{self.function.name()}: must be compiled, the values (k, {argument.size})")
-        places = (given.ctypes.data, argument.size, results.ctypes.data, result.size, len(given))
+        places = (inputs.ctypes.data, argument.size, results.ctypes.data, result.size, len(inputs))
         _each().each(ctypes.byref(self.for_c), *map(ctypes.c_ssize_t, places))
         return results
 

@@ -1,8 +1,8 @@
 """What a law, or a layer around one, remembers from one control instant to the next: declared by name and size.
 
-An instant is a transaction between two vectors. Functions read `now` and write `next`; the last operations of an
-instant make `next` the new `now` (see control.instant). One that is refused half-way takes `next` back to `now`, so
-that Python makes it from the same memory.
+An instant is a transaction between two vectors. Functions read `now` and write `next`; the last calls of an
+instant make `next` the new `now` (see control.control_step). One that is refused half-way takes `next` back to `now`,
+so that Python makes it from the same memory.
 """
 
 from __future__ import annotations
@@ -88,8 +88,8 @@ def connected(
     """The function on the arrays that it reads and writes, so that nothing is copied.
 
     places: of arguments, results: of results that are no memory; what is in neither gets an array of its own."""
-    read, left = dict(places), dict(results)
+    read, written = dict(places), dict(results)
     if memory is not None:
         read |= {NOW + name: values for name, values in memory.of_now.items()}
-        left |= {NEXT + name: values for name, values in memory.of_next.items()}
-    return BufferedFunction(function, read, left)
+        written |= {NEXT + name: values for name, values in memory.of_next.items()}
+    return BufferedFunction(function, read, written)

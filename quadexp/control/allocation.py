@@ -135,7 +135,7 @@ def clipped(vehicle: Vehicle, wrench: Expression) -> Expression:
     return limited(u, vehicle.thrust_min, vehicle.thrust_max)
 
 
-def held(vehicle: Vehicle, u: Expression) -> Expression:
+def saturated_count(vehicle: Vehicle, u: Expression) -> Expression:
     """How many of the thrusts (n,) (N) are at a limit."""
     return ca.sum1(u <= vehicle.thrust_min) + ca.sum1(u >= vehicle.thrust_max)
 

@@ -79,7 +79,7 @@ class Controller(Protocol):
     vehicle: what the controller believes it flies. control_period: s. node_times: (N + 1,), s from now, where it wants
     the reference; the first need not be 0. residual: what references should contain of the air, None for nothing.
     reference_period: s, after which the reference is made anew where `residual` is another object; 0: never.
-    name, source: what it knows of the air, and from where. backend: what its functions run on.
+    residual_name, source: what it knows of the air, and from where. backend: what its functions run on.
     """
 
     vehicle: Vehicle
@@ -87,7 +87,7 @@ class Controller(Protocol):
     node_times: np.ndarray
     reference_period: float
     backend: str
-    name: str
+    residual_name: str
     source: str
 
     @property

@@ -1,4 +1,4 @@
-"""A control instant in C: a controller's operations by loop.c, on the arrays that they have in Python.
+"""A control instant in C: a controller's calls by loop.c, on the arrays that they have in Python.
 
 C leaves to Python what is out of the ordinary, such as a failed step: Python then makes that instant, with the same
 result as if it had made all of them.
@@ -18,7 +18,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, CFunction, strict_library
 from quadexp.control.base import Window
-from quadexp.control.instant import KINDS, Operation, Running, in_operations
+from quadexp.control.control_step import KINDS, Call, Running, in_calls
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import MAX_TURN, TOLERANCE, ModelPredictiveController, StepRecord
 from quadexp.control.readings import ReadingGate
@@ -40,7 +40,7 @@ def structure(source: Path, name: str) -> type[ctypes.Structure]:
     return type(name, (ctypes.Structure,), {"_fields_": fields})
 
 
-OPERATION, MPC, REFERENCE, LOOP = (structure(SOURCE, name) for name in ("operation", "mpc", "reference", "loop"))
+STEP_CALL, MPC, REFERENCE, LOOP = (structure(SOURCE, name) for name in ("step_call", "mpc", "reference", "loop"))
 
 
 def addresses(arrays: dict[str, np.ndarray | None]) -> dict[str, int]:
@@ -64,22 +64,22 @@ class CompiledReference:
 
 
 class CompiledLoop:
-    """The control instants of a controller in C, where `goes_in_c` says so. running: its operations.
+    """The control instants of a controller in C, where `goes_in_c` says so. running: its calls.
 
     mpc: the structure of its plan, None with a law. structure: `loop` of loop.c.
     """
 
     def __init__(self, running: Running, period: float) -> None:
-        self.running, instant, told = running, running.instant, running.told
-        operations = [_operation(o) for o in instant.operations]
-        self._operations = (OPERATION * len(operations))(*operations)
+        self.running, instant, inputs = running, running.control_step, running.inputs
+        calls = [_structure_of(o) for o in instant.calls]
+        self._calls = (STEP_CALL * len(calls))(*calls)
         self.mpc = None if instant.plan is None else self._mpc(instant.plan)
-        names = ("state", "force", "speed", "path", "yaw", "read", "turning")
+        names = ("state", "specific_force", "rotor_speed", "path", "yaw", "accelerometer_valid", "rotor_speed_valid")
         self.structure = LOOP(
-            **addresses({name: getattr(told, name) for name in names}),
-            operations=ctypes.addressof(self._operations),
-            operations_size=len(operations),
-            inputs=len(told.speed),
+            **addresses({name: getattr(inputs, name) for name in names}),
+            calls=ctypes.addressof(self._calls),
+            calls_size=len(calls),
+            inputs=len(inputs.rotor_speed),
             plan=None if self.mpc is None else ctypes.addressof(self.mpc),
             period=period,
         )
@@ -105,7 +105,7 @@ class CompiledLoop:
 
     def record(self, took: float) -> StepRecord:
         """Of the last step, which took so long (s)."""
-        instant, mpc = self.running.instant, self.mpc
+        instant, mpc = self.running.control_step, self.mpc
         if mpc is not None:
             status, sweeps, active = Status(int(mpc.status)), int(mpc.sweeps), int(mpc.active)
             instant.plan.record = StepRecord(took, status, sweeps, active, mpc.kkt, bool(mpc.converged))
@@ -117,19 +117,19 @@ class UserLoop(CompiledLoop):
 
     def __init__(self, controller: Any, reference: CompiledReference) -> None:
         super().__init__(controller.running, controller.control_period)
-        self._controller, self._reference, self.command = controller, reference, self.running.instant.command
-        self._plan = None if self.mpc is None else self.running.instant.plan.mpc
+        self._controller, self._reference, self.command = controller, reference, self.running.control_step.command
+        self._plan = None if self.mpc is None else self.running.control_step.plan.mpc
         rows, n = reference.where.shape[1], len(self.command)
         first = NUMBERS.size // 8
-        self._given = given = np.zeros(first + N_STATE + 3 + n)
-        self._state, self._force, self._speed = np.split(given[first:], [N_STATE, N_STATE + 3])
+        self._given = numbers = np.zeros(first + N_STATE + 3 + n)
+        self._state, self._force, self._speed = np.split(numbers[first:], [N_STATE, N_STATE + 3])
         states, inputs, position, yaw = (np.zeros(size) for size in ((rows, N_STATE), (rows - 1, n), (5, 3), 4))
         self._window, self._drift = (states, inputs, position, yaw[:3]), yaw[3:]
         alone = CompiledReference((states, inputs, np.arange(rows)[None]), (position[None], yaw[None]))
         self._alone, s = alone, self.structure
-        s.given, s.reference, s.window = given.ctypes.data, *map(_address, (reference, alone))
+        s.given, s.reference, s.window = numbers.ctypes.data, *map(_address, (reference, alone))
         self._call: Callable[[], int] = partial(_library().step, ctypes.addressof(s))
-        self._read: dict[str, float] = {}  # when C was told the last reading
+        self._read: dict[str, float] = {}  # when C was given the last reading
 
     def step(self, t: float, state: np.ndarray, force: Any, speed: Any, window: Window | None, prepared: int) -> bool:
         """Whether C made the step. prepared: for which instant of the reference it is, -1: for none.
@@ -141,8 +141,8 @@ class UserLoop(CompiledLoop):
             return False
         if plan is not None and (plan.cold or plan.prepared != (prepared >= 0 and window is None)):
             return False
-        told = window is not None, force is not None, speed is not None
-        NUMBERS.pack_into(self._given.data, 0, t, prepared, self.running.k, *told)
+        present = window is not None, force is not None, speed is not None
+        NUMBERS.pack_into(self._given.data, 0, t, prepared, self.running.k, *present)
         self._state[...] = state
         if force is not None and not _fill(self._force, force):
             return False
@@ -164,7 +164,7 @@ class UserLoop(CompiledLoop):
         return True
 
     def hand_over(self, gate: ReadingGate) -> None:
-        """Let Python go on from here. gate: is told of the readings that C has admitted last."""
+        """Let Python go on from here. gate: is given the readings that C has admitted last."""
         for name, t in self._read.items():
             gate.keep(name, t)
         self._read.clear()
@@ -190,21 +190,21 @@ def _library() -> ctypes.CDLL:  # which keeps the interpreter's lock: a step is 
 
 def goes_in_c(controller: Any) -> bool:
     """Whether C can make the instants of a controller, with nothing that is always Python's."""
-    if controller.backend != "compiled" or controller.reference_period or not in_operations(controller):
+    if controller.backend != "compiled" or controller.reference_period or not in_calls(controller):
         return False
-    instant = controller.running.instant
-    functions = [o.function for o in instant.operations if o.function is not None]
+    instant = controller.running.control_step
+    functions = [o.function for o in instant.calls if o.function is not None]
     if instant.plan is not None and type(instant.plan.mpc) is not ModelPredictiveController:
         return False
-    arrays = [(o, a) for o in instant.operations for a in (o.to, o.source, o.other, o.when) if a is not None]
+    arrays = [(o, a) for o in instant.calls for a in (o.to, o.source, o.other, o.when) if a is not None]
     return (
-        not any(o.kind == "python" and o.when is None for o in instant.operations)
+        not any(o.kind == "python" and o.when is None for o in instant.calls)
         and all(isinstance(f, BufferedFunction) and f.for_c is not None for f in functions)
         and all(a.dtype == float and (a.flags.c_contiguous or o.kind == "window") for o, a in arrays)
     )
 
 
-def _operation(o: Operation) -> ctypes.Structure:
+def _structure_of(o: Call) -> ctypes.Structure:
     """As C has it."""
     counted, function = o.to if o.to is not None else o.source, o.function
     count = 0 if counted is None else counted.strides[0] // 8 if o.kind == "window" else counted.size
@@ -217,4 +217,4 @@ def _operation(o: Operation) -> ctypes.Structure:
         shape["factor"] = len(o.source)
     elif o.kind == "gather" and o.source is not None:
         shape["rows"], shape["columns"] = o.source[0].shape
-    return OPERATION(kind=KINDS.index(o.kind), every=o.every, **shape, **places)
+    return STEP_CALL(kind=KINDS.index(o.kind), every=o.every, **shape, **places)

@@ -24,8 +24,8 @@ import numpy as np
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.memory import Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
-from quadexp.control.built import built
-from quadexp.control.instant import Operation, Told, call, copy
+from quadexp.control.cached_function import cached_function
+from quadexp.control.control_step import Call, InputArrays, call, copy
 from quadexp.physics.expression import Expression, named_function, named_symbols, symbols
 from quadexp.physics.motor import decayed
 from quadexp.physics.vehicle import Vehicle
@@ -88,18 +88,18 @@ def delivered_thrust(
     n = sent.numel()
     commands = ca.reshape(kept["commands"], n, kept["commands"].numel() // n)
     commands, thrust, mean = delivered_by_commands(commands, kept["thrust"], sent, numbers)
-    left = {"commands": ca.vec(commands), "thrust": thrust}
+    next_values = {"commands": ca.vec(commands), "thrust": thrust}
     if measured is None:
-        return thrust, mean, left
+        return thrust, mean, next_values
     before, had = kept["before"][:n], kept["before"][n]
     now = turning * measured + (1 - turning) * thrust
     share = turning * had * numbers[-1] / 2  # of the thrusts a period ago
     mean = turning * (share * before + (1 - share) * measured) + (1 - turning) * mean
-    return now, mean, left | {"before": ca.vertcat(measured, turning)}
+    return now, mean, next_values | {"before": ca.vertcat(measured, turning)}
 
 
 class DeliveredThrust:
-    """`delivered_thrust` as operations `before` and `after` those of a controller; `reset` begins a flight.
+    """`delivered_thrust` as calls `before` and `after` those of a controller; `reset` begins a flight.
 
     thrust, mean: see there. memory: what is remembered, a part of the instant's.
     """
@@ -108,7 +108,7 @@ class DeliveredThrust:
         self, vehicle: Vehicle, period: float, dead_time: float = 0.0, lag: float = 0.0, *, backend: str = "interpreted"
     ) -> None:
         delays = Delays(period, dead_time, lag)
-        self._function, self._pending = built(backend, _delivered_function, vehicle, delays), delays.pending
+        self._function, self._pending = cached_function(backend, _delivered_function, vehicle, delays), delays.pending
         self.memory = Memory("DeliveredThrust", sizes_of([self._function]) | {"sent": vehicle.n_rotors})
         self.thrust, self.mean = np.zeros((2, vehicle.n_rotors))
 
@@ -116,13 +116,13 @@ class DeliveredThrust:
         """Start a flight: this command, (n,) (N), has been sent for a long time."""
         self.memory.begin({"commands": np.tile(thrust, self._pending), "thrust": thrust, "sent": thrust})
 
-    def before(self, told: Told) -> list[Operation]:
+    def before(self, inputs: InputArrays) -> list[Call]:
         """Leaves `thrust` and `mean`."""
-        places = {"speed": told.speed, "turning": told.turning}
+        places = {"speed": inputs.rotor_speed, "turning": inputs.rotor_speed_valid}
         results = {"thrust": self.thrust, "mean": self.mean}
         return [call(connected(self._function, places, results, self.memory))]
 
-    def after(self, command: np.ndarray) -> list[Operation]:
+    def after(self, command: np.ndarray) -> list[Call]:
         """Remembers the command that is found there, (n,) (N)."""
         return [copy(self.memory.of_next["sent"], command)]
 
@@ -133,8 +133,8 @@ def _delivered_function(vehicle: Vehicle, delays: Delays) -> ca.Function:
     speeds = {} if coefficient is None else named_symbols(ca.SX, {"speed": n, "turning": 1})
     measured = [coefficient * speeds["speed"] ** 2, speeds["turning"]] if speeds else []
     kept = {name.removeprefix("memory_"): value for name, value in a.items()}
-    thrust, mean, left = delivered_thrust(kept, kept["sent"], ca.DM(delays.numbers), *measured)
-    results = {"thrust": thrust, "mean": mean} | {f"next_{name}": value for name, value in left.items()}
+    thrust, mean, next_values = delivered_thrust(kept, kept["sent"], ca.DM(delays.numbers), *measured)
+    results = {"thrust": thrust, "mean": mean} | {f"next_{name}": value for name, value in next_values.items()}
     return named_function("delivered", a | speeds, results)
 
 
@@ -167,7 +167,7 @@ class SentCommands:
         self.values[...] = thrust
         self.memory.commit()
 
-    def after(self, command: np.ndarray) -> list[Operation]:
+    def after(self, command: np.ndarray) -> list[Call]:
         """Adds the command that is found there, (n,) (N), and goes on by one control period."""
         return [copy(self._older, self._newer), copy(self._newest, command)]
 
@@ -177,11 +177,11 @@ class SentCommands:
         if len(spans) not in self._weigh:
             self._weigh[len(spans)] = BufferedFunction(weights_function(len(self.values), self._period, len(spans)))
         function = self._weigh[len(spans)]
-        given, found = function.arguments, function.results["weights"]
-        given["spans"][...] = np.where(np.diff(spans) > INSTANT, spans, spans[:, 1:] + [-INSTANT, 0.0])
-        given["delays"][...] = dead_time, lag
+        arguments, weights = function.arguments, function.results["weights"]
+        arguments["spans"][...] = np.where(np.diff(spans) > INSTANT, spans, spans[:, 1:] + [-INSTANT, 0.0])
+        arguments["delays"][...] = dead_time, lag
         function()
-        return found.reshape(len(spans), -1)[:, ::-1].copy()
+        return weights.reshape(len(spans), -1)[:, ::-1].copy()
 
 
 def command_weights(count: int, period: float, span: Any, dead_time: Any, lag: Any) -> Any:
@@ -204,5 +204,5 @@ def command_weights(count: int, period: float, span: Any, dead_time: Any, lag: A
 def weights_function(count: int, period: float, spans: int) -> ca.Function:
     """`command_weights` of so many spans at once: spans (2, k), delays: dead time and lag -> weights (m, k)."""
     span, delays = symbols(ca.SX, spans=(2, spans), delays=2)
-    each = [command_weights(count, period, ca.vertsplit(one), delays[0], delays[1]) for one in ca.horzsplit(span)]
+    each = [command_weights(count, period, ca.vertsplit(column), delays[0], delays[1]) for column in ca.horzsplit(span)]
     return ca.Function("weights", [span, delays], [ca.horzcat(*each)], ["spans", "delays"], ["weights"])

@@ -11,8 +11,8 @@ import numpy as np
 from quadexp.compile.memory import NEXT, NOW
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import N_BELIEF, Belief
+from quadexp.control.control_step import InputArrays
 from quadexp.control.delivered import Delays, delivered_thrust, kept_sizes
-from quadexp.control.instant import Told
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.physics.expression import symbols
 from quadexp.physics.rotation import air_velocity
@@ -26,7 +26,7 @@ AIR = {"air": "state", "air_reference": "reference"}  # acceleration and torque 
 class Circumstances:
     """What equations know beside the vehicle: the control period, dead time and lag of commands (s), by how much rotor
     speeds are older than body rates (s), whether they tell thrusts, whether functions are to be compiled, and by how
-    much later the state is that the controller inside is told (s)."""
+    much later the state is that the controller inside is given (s)."""
 
     period: float
     dead_time: float = 0.0
@@ -111,7 +111,7 @@ class Inputs:
         return function(z, self.theta[: function.size1_in(1)])[0]
 
     def _air(self, name: str) -> Any:
-        """`air` or `air_reference`, in the wind that is believed in where the belief is read."""
+        """`air` or `air_reference`, in the wind that is assumed where the belief is read."""
         if self.residual is None:
             return ca.DM.zeros(N_OUTPUTS)
         x, wind, u = symbols(ca.SX, x=N_STATE, wind=3, u=self.vehicle.n_rotors)
@@ -133,8 +133,8 @@ class Inputs:
             else:
                 sizes.pop("before")
             kept = {name: self.symbol(NOW + name, (size, 1)) for name, size in sizes.items()}
-            now, mean, left = delivered_thrust(kept, kept["sent"], ca.DM(delays.numbers), measured, turning)
-            self._thrusts, self.left = (now, mean), {NEXT + name: value for name, value in left.items()}
+            now, mean, next_values = delivered_thrust(kept, kept["sent"], ca.DM(delays.numbers), measured, turning)
+            self._thrusts, self.left = (now, mean), {NEXT + name: value for name, value in next_values.items()}
         return self._thrusts
 
 
@@ -156,16 +156,16 @@ def remembered(inputs: Inputs, sizes: Mapping[str, int]) -> Symbols:
     return Symbols(inputs, NOW, sizes, "what is remembered")
 
 
-def places_of(told: Told, state: np.ndarray) -> dict[str, np.ndarray]:
-    """Where the inputs lie that are told to a controller; state: as it is told, (13,)."""
+def places_of(inputs: InputArrays, state: np.ndarray) -> dict[str, np.ndarray]:
+    """Where the inputs lie that are given to a controller; state: as it is given, (13,)."""
     return {
         "state": state,
-        "path": told.path,
-        "heading": told.yaw[:3],
-        "drift": told.yaw[3:],
-        "specific_force": told.force,
-        "rotor_speed": told.speed,
-        "fresh": told.fresh,
+        "path": inputs.path,
+        "heading": inputs.yaw[:3],
+        "drift": inputs.yaw[3:],
+        "specific_force": inputs.specific_force,
+        "rotor_speed": inputs.rotor_speed,
+        "fresh": inputs.fresh,
     }
 
 

@@ -12,7 +12,7 @@
             return {"command": thrusts, "integral": memory.integral + given.period * error}
 
 The equations are written once, in CasADi, and called when the controller is built. From them follow its step in C, the
-delays that its loop tolerates, its columns, and every remedy: observers, where they read a belief, L1, INDI,
+delays that its loop tolerates, its columns, and every compensation: observers, where they read a belief, L1, INDI,
 predictions of delays, remedies=auto.
 
 World ENU, body FLU, SI.
@@ -29,16 +29,16 @@ import numpy as np
 from quadexp.compile.backend import resolve
 from quadexp.compile.memory import NEXT
 from quadexp.compile.symbolic import ca
-from quadexp.control.allocation import held
-from quadexp.control.built import built
+from quadexp.control.allocation import saturated_count
+from quadexp.control.cached_function import cached_function
 from quadexp.control.inputs import AIR, Circumstances, Inputs, remembered
 from quadexp.control.laws.explicit import BelievingController, ExplicitController, Rate
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
+from quadexp.models.build_context import BuildContext
 from quadexp.models.residual import Residual
 from quadexp.names import named
-from quadexp.parts.part import Given
 from quadexp.parts.settings import Backend, keyed
 from quadexp.physics.expression import named_function
 from quadexp.physics.vehicle import Vehicle
@@ -50,8 +50,8 @@ class Law(ControllerPart):
 
     memory: what it remembers from step to step, names and lengths; zero at the start of a flight unless `start` says
     otherwise. logged: names of results that become columns; a vector of three has _x, _y, _z. nodes: times from now at
-    which it is told the reference, in control periods; the last interval's thrusts are `thrusts_middle`. symbols: of
-    the equations, ca.SX, or ca.MX where these call functions. air_thrusts: which thrusts its model of the air is told.
+    which it is given the reference, in control periods; the last interval's thrusts are `thrusts_middle`. symbols: of
+    the equations, ca.SX, or ca.MX where these call functions. air_thrusts: which thrusts its model of the air is given.
     """
 
     memory: ClassVar[Mapping[str, int]] = {}
@@ -63,22 +63,22 @@ class Law(ControllerPart):
     rate: Rate = 100.0
     backend: Backend = "auto"
 
-    def equations(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+    def equations(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """`command`, thrusts (n,) (N), within the limits; of everything in `memory` the next value; what is logged; and
         `held`, how many rotors are at a limit, where the command does not show it."""
         raise NotImplementedError
 
-    def remembers(self, given: Inputs) -> Mapping[str, int]:
-        """`memory`, where lengths are of this vehicle (given.vehicle)."""
+    def remembers(self, inputs: Inputs) -> Mapping[str, int]:
+        """`memory`, where lengths are of this vehicle (inputs.vehicle)."""
         return self.memory
 
     def start(self, vehicle: Vehicle, x: np.ndarray) -> dict[str, np.ndarray]:
         """What it remembers at the start of a flight in the state x, (13,), where that is not zero."""
         return {}
 
-    def build(self, given: Given) -> Any:
+    def build(self, context: BuildContext) -> Any:
         """See ControllerPart."""
-        return self.controller(given.vehicle, given.residual(*self.kinds))
+        return self.controller(context.vehicle, context.residual(*self.kinds))
 
     def controller(
         self, vehicle: Vehicle, residual: Residual | None = None, places: Mapping[str, np.ndarray] | None = None
@@ -90,7 +90,7 @@ class Law(ControllerPart):
         known = None if residual is None or residual.is_zero else residual
         structure = replace(self, name="law", models=(), allow_unstable=False)  # of which the function depends
         about = Circumstances(1 / self.rate, compiled=resolve(self.backend) == "compiled")
-        function = built(self.backend, law_function, structure, vehicle, about, known)
+        function = cached_function(self.backend, law_function, structure, vehicle, about, known)
         kind = BelievingController if "belief" in function.name_in() else ExplicitController
         return kind(vehicle, self, about, function, known, places)
 
@@ -98,18 +98,18 @@ class Law(ControllerPart):
 def law_function(law: Law, vehicle: Vehicle, about: Circumstances, residual: Residual | None) -> ca.Function:
     """What the law reads of Inputs and of its memory -> command, held, of the memory the next values, and log_NAME of
     what is logged. residual: its model of the air, None for none."""
-    given = Inputs(vehicle, about, ca.MX, residual)
-    given.air_thrusts = law.air_thrusts
+    symbols_read = Inputs(vehicle, about, ca.MX, residual)
+    symbols_read.air_thrusts = law.air_thrusts
     if law.symbols is ca.MX:
-        return named_function("law", given.read, _outputs(law, vehicle, given))
+        return named_function("law", symbols_read.read, _outputs(law, vehicle, symbols_read))
     inputs = Inputs(vehicle, about, law.symbols, residual, later=True)
     outputs = _outputs(law, vehicle, inputs)
     for name, symbol in inputs.read.items():
         if name not in AIR:  # which come behind: they read the belief if the law does
-            given.symbol(name, symbol.shape)
+            symbols_read.symbol(name, symbol.shape)
     inner = ca.Function("law", [*inputs.read.values()], ca.cse([*outputs.values()]))
-    read = [given.symbol(name) if name not in AIR else getattr(given, name) for name in inputs.read]
-    return named_function("law", given.read, named(outputs, inner.call(read)))
+    read = [symbols_read.symbol(name) if name not in AIR else getattr(symbols_read, name) for name in inputs.read]
+    return named_function("law", symbols_read.read, named(outputs, inner.call(read)))
 
 
 def _outputs(law: Law, vehicle: Vehicle, inputs: Inputs) -> dict[str, Any]:
@@ -118,11 +118,11 @@ def _outputs(law: Law, vehicle: Vehicle, inputs: Inputs) -> dict[str, Any]:
     if not isinstance(law.logged, tuple) or not all(isinstance(name, str) for name in law.logged):
         raise UsageError(f'{type(law).__name__}.logged: must be a tuple of names, such as ("error",)')
     sizes = {**dict.fromkeys(law.logged), "command": vehicle.n_rotors, **kept}
-    found = given_by(law, inputs, lambda: law.equations(vehicle, inputs, remembered(inputs, kept)), sizes)
-    refuse_unread(law, found, ("command", "held", *kept, *law.logged))
-    outputs = {"command": found["command"], "held": found.get("held", held(vehicle, found["command"]))}
-    outputs |= {NEXT + name: found[name] for name in kept} | inputs.left
-    return outputs | {f"log_{name}": found[name] for name in law.logged}
+    results = given_by(law, inputs, lambda: law.equations(vehicle, inputs, remembered(inputs, kept)), sizes)
+    refuse_unread(law, results, ("command", "held", *kept, *law.logged))
+    outputs = {"command": results["command"], "held": results.get("held", saturated_count(vehicle, results["command"]))}
+    outputs |= {NEXT + name: results[name] for name in kept} | inputs.left
+    return outputs | {f"log_{name}": results[name] for name in law.logged}
 
 
 def given_by(
@@ -137,11 +137,11 @@ def given_by(
     Raises UsageError where they fail or give something else."""
     what = f"equations of {type(part).__name__}"
     try:
-        given = equations()
-        if not isinstance(given, Mapping):
-            raise UsageError(f"{what}: must return a dict of names and expressions, not {type(given).__name__}")
-        found = {name: ca.densify(inputs.kind(value)) for name, value in given.items()}
-        found = {name: value.T if value.size1() == 1 else value for name, value in found.items()}
+        stated = equations()
+        if not isinstance(stated, Mapping):
+            raise UsageError(f"{what}: must return a dict of names and expressions, not {type(stated).__name__}")
+        results = {name: ca.densify(inputs.kind(value)) for name, value in stated.items()}
+        results = {name: value.T if value.size1() == 1 else value for name, value in results.items()}
     except UsageError:
         raise
     except NotImplementedError:
@@ -149,13 +149,13 @@ def given_by(
     except Exception as error:
         raise UsageError(f"{what}: {type(error).__name__}: {' '.join(str(error).split())[:200]}") from error
     for name, size in sizes.items():
-        lacks = name not in found and (needed is None or name in needed)
-        differs = name in found and size not in (None, found[name].numel())
+        lacks = name not in results and (needed is None or name in needed)
+        differs = name in results and size not in (None, results[name].numel())
         if lacks or differs:
             numbers = "" if size is None else f", {size} numbers"
-            has = f"; it has {found[name].numel()}" if differs else ""
+            has = f"; it has {results[name].numel()}" if differs else ""
             raise UsageError(f"{what}: must give {name!r}{numbers}{has}")
-    return found
+    return results
 
 
 def sizes_given(part: Any, sizes: Any) -> Mapping[str, int]:
@@ -171,10 +171,10 @@ def sizes_given(part: Any, sizes: Any) -> Mapping[str, int]:
     return known
 
 
-def refuse_unread(part: Any, given: Iterable[str], known: Iterable[str]) -> None:
+def refuse_unread(part: Any, results: Iterable[str], known: Iterable[str]) -> None:
     """UsageError where equations give what nobody reads."""
     allowed = [*known]
-    for name in given:
+    for name in results:
         if name not in allowed:
             near = suggestion(name, allowed)
             raise UsageError(f"equations of {type(part).__name__}: nobody reads {name!r}, which they give{near}")

@@ -4,7 +4,7 @@
         def remembers(self, given):
             return {"filtered": 3}
 
-        def before(self, vehicle, given, memory):   # from what is told: what the controller inside is told
+        def before(self, vehicle, given, memory):   # from what is given: what the controller inside is given
             return {"state": .., "belief": .., "filtered": ..}
 
         def after(self, vehicle, given, memory, found):   # from given.command, of the controller inside: what is sent
@@ -27,13 +27,13 @@ import numpy as np
 from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import N_BELIEF, Controller, Window, belief_of, no_belief
-from quadexp.control.built import built
+from quadexp.control.cached_function import cached_function
+from quadexp.control.control_step import Call, ControlStep, InputArrays, call, control_step_of, copy, in_calls, python
 from quadexp.control.inputs import Circumstances, Inputs, Symbols, at_start, places_of, remembered
-from quadexp.control.instant import Instant, Operation, Told, call, copy, in_operations, instant_of, python
 from quadexp.control.law import given_by, refuse_unread, sizes_given
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
-from quadexp.control.part import Remedy
+from quadexp.control.part import Compensation
 from quadexp.control.wrapped import WrappedController, thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.models.residual import Residual
@@ -48,27 +48,28 @@ NO_BELIEF = np.hstack([*no_belief()])
 
 
 @keyed
-class LayerPart(Remedy):
-    """A remedy that is equations, see the module. logged: columns, by the name of the result that has them."""
+class LayerPart(Compensation):
+    """A compensation that is equations, see the module. logged: columns, by the name of the result that has them."""
 
     logged: ClassVar[Mapping[str, tuple[str, ...]]] = {}
 
-    def remembers(self, given: Inputs) -> Mapping[str, int]:
+    def remembers(self, inputs: Inputs) -> Mapping[str, int]:
         """What it remembers from instant to instant: names and lengths; zero at the start unless `start` says so."""
         return {}
 
-    def start(self, given: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
+    def start(self, inputs: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
         """What it remembers at the start of a flight in the state x, (13,), where that is not zero. thrust: that the
         rotors give then, (n,) (N)."""
         return {}
 
-    def before(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+    def before(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """`state` and `belief` for the controller inside, where they are others; of `memory` next values; the rest is
         for `after` and the log."""
         return {}
 
-    def after(self, vehicle: Vehicle, given: Inputs, memory: Any, found: Any) -> dict[str, Any]:
-        """`command`, thrusts within the limits (N), where it is another than given.command; of `memory` next values."""
+    def after(self, vehicle: Vehicle, inputs: Inputs, memory: Any, before: Any) -> dict[str, Any]:
+        """`command`, thrusts within the limits (N), where it is another than inputs.command; of `memory` next
+        values."""
         return {}
 
     def around(self, controller: Any) -> Layer:
@@ -85,15 +86,17 @@ class Layer(WrappedController):
     """
 
     def __init__(
-        self, inner: Controller, part: LayerPart, about: Circumstances, residual: Residual | None = None,
+        self, wrapped: Controller, part: LayerPart, about: Circumstances, residual: Residual | None = None,
         places: Mapping[str, np.ndarray] | None = None, *, backend: str | None = None,
         kept: Mapping[str, np.ndarray] | None = None,
     ) -> None:  # fmt: skip
-        super().__init__(inner)
+        super().__init__(wrapped)
         self.part, self.about, self.control_period = part, about, about.period
-        self.every = round(inner.control_period / about.period)
-        asked = backend or inner.backend
-        self._functions = built(asked, layer_functions, replace(part, name="layer"), self.vehicle, about, residual)
+        self.every = round(wrapped.control_period / about.period)
+        asked = backend or wrapped.backend
+        self._functions = cached_function(
+            asked, layer_functions, replace(part, name="layer"), self.vehicle, about, residual
+        )
         reads = {name for function in self._functions for name in function.name_in()}
         self._kept = dict(kept or {})
         sizes = sizes_of(self._functions) | {name: values.size for name, values in self._kept.items()}
@@ -116,8 +119,8 @@ class Layer(WrappedController):
         for name in (*remembers, *part.logged):
             if name not in self.memory.sizes.keys() | self.results.keys():
                 raise UsageError(f"equations of {type(part).__name__}: neither `before` nor `after` gives {name!r}")
-        if "belief" in self.results and in_operations(inner):
-            self.results["belief"] = inner.believed_numbers  # type: ignore[attr-defined]  # its part saw to it
+        if "belief" in self.results and in_calls(wrapped):
+            self.results["belief"] = wrapped.believed_numbers  # type: ignore[attr-defined]  # its part saw to it
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
@@ -129,59 +132,61 @@ class Layer(WrappedController):
         if "belief" in self.results:
             self.results["belief"][...] = NO_BELIEF
 
-    def instant(self, told: Told, state: np.ndarray) -> Instant:
-        """See control.instant; the record is that of the controller's last step."""
+    def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
+        """See control.control_step; the record is that of the controller's last step."""
         results = self.results
-        operations = self.calls("before", told, state)
-        inside = [*self.inside(told), *self._believing()]
-        inner = instant_of(self.inner, told, results.get("state", state))
-        inside += [*inner.operations, *(copy(self.memory.of_next[name], values) for name, values in self._kept.items())]
-        given = inner.command
+        calls = self.calls("before", inputs, state)
+        inside = [*self.inside(inputs), *self._believing()]
+        step = control_step_of(self.wrapped, inputs, results.get("state", state))
+        inside += [*step.calls, *(copy(self.memory.of_next[name], values) for name, values in self._kept.items())]
+        command_inside = step.command
         if self.every > 1:
-            given = self.memory.of_next["held"]
-            inside.append(copy(given, inner.command))
-        operations += [o._replace(every=o.every * self.every) for o in inside]
-        operations += self.calls("after", told, state, given)
-        command = results.get("command", inner.command)
+            command_inside = self.memory.of_next["held"]
+            inside.append(copy(command_inside, step.command))
+        calls += [o._replace(every=o.every * self.every) for o in inside]
+        calls += self.calls("after", inputs, state, command_inside)
+        command = results.get("command", step.command)
         if self._remembers_sent:
-            operations.append(copy(self.memory.of_next["sent"], command))
+            calls.append(copy(self.memory.of_next["sent"], command))
         checked = [after for _, after in self.memory.pairs if after.size]
         checked += [command] if "command" in results else []
-        operations += [Operation("finite", source=numbers) for numbers in checked]
+        calls += [Call("finite", source=numbers) for numbers in checked]
 
         def record(took: float) -> StepRecord:
-            made = inner.record(took)
+            last = step.record(took)
             finite = all(math.isfinite(numbers.sum()) for numbers in checked)
-            return made if finite else made._replace(status=Status.FAILED)
+            return last if finite else last._replace(status=Status.FAILED)
 
-        logged = (*inner.logged, *self._logged.values())
-        memory = (*inner.memory, self.memory)
-        return inner._replace(operations=operations, command=command, record=record, logged=logged, memory=memory)
+        logged = (*step.logged, *self._logged.values())
+        memory = (*step.memory, self.memory)
+        return step._replace(calls=calls, command=command, record=record, logged=logged, memory=memory)
 
-    def calls(self, which: str, told: Told, state: np.ndarray, command: np.ndarray | None = None) -> list[Operation]:
+    def calls(
+        self, which: str, inputs: InputArrays, state: np.ndarray, command: np.ndarray | None = None
+    ) -> list[Call]:
         """Its function `before`, or `after` the controller inside, whose command is found there. state: (13,)."""
         results = {FOUND + name: values for name, values in self.results.items()}
-        found = results | {FOUND + name: values for name, values in self.memory.of_next.items()}
-        places = {**places_of(told, state), **self._places, **found}
+        result_places = results | {FOUND + name: values for name, values in self.memory.of_next.items()}
+        places = {**places_of(inputs, state), **self._places, **result_places}
         if command is not None:
             places["command"] = command
         functions = [function for function in self._functions if function.name().endswith(which)]
         return [call(connected(function, places, results, self.memory)) for function in functions]
 
-    def inside(self, told: Told) -> list[Operation]:
+    def inside(self, inputs: InputArrays) -> list[Call]:
         """What else is done before the controller inside acts."""
         return []
 
-    def _believing(self) -> list[Operation]:
+    def _believing(self) -> list[Call]:
         """What tells the controller inside of the belief, where that is not written where it reads it."""
-        inner, belief = self.inner, self.results.get("belief")
-        if belief is None or in_operations(inner):
+        wrapped, belief = self.wrapped, self.results.get("belief")
+        if belief is None or in_calls(wrapped):
             return []
-        return [python(lambda: inner.believe(belief_of(belief)))]  # type: ignore[attr-defined]
+        return [python(lambda: wrapped.believe(belief_of(belief)))]  # type: ignore[attr-defined]
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""
-        columns = self.inner.log()
+        columns = self.wrapped.log()
         for name, labels in self.part.logged.items():
             values = self._logged[name].tolist()
             if len(values) != len(labels) or not columns.keys().isdisjoint(labels):
@@ -195,29 +200,29 @@ class Layer(WrappedController):
     @property
     def _logged(self) -> dict[str, np.ndarray]:
         """What is logged, results or memory, by name."""
-        found = self.memory.of_next | self.results
-        return {name: found[name] for name in self.part.logged}
+        values = self.memory.of_next | self.results
+        return {name: values[name] for name in self.part.logged}
 
 
 def layer_functions(
     part: LayerPart, vehicle: Vehicle, about: Circumstances, residual: Residual | None
 ) -> list[ca.Function]:
     """`before` and `after` of a layer, as functions whose names end so; one that gives nothing is left out."""
-    functions, sizes, made = list[ca.Function](), dict[str, int](), list[str]()
+    functions, sizes, result_names = list[ca.Function](), dict[str, int](), list[str]()
     known = {"state", "belief", "command", *part.logged}
     for which in ("before", "after"):
-        given = Inputs(vehicle, about, ca.MX, residual)
-        kept = sizes_given(part, part.remembers(given))
-        memory, found = remembered(given, kept), Symbols(given, FOUND, sizes, "what `before` gave")
-        more = [found] if which == "after" else []
-        equations = partial(getattr(part, which), vehicle, given, memory, *more)
+        inputs = Inputs(vehicle, about, ca.MX, residual)
+        kept = sizes_given(part, part.remembers(inputs))
+        memory, before = remembered(inputs, kept), Symbols(inputs, FOUND, sizes, "what `before` gave")
+        more = [before] if which == "after" else []
+        equations = partial(getattr(part, which), vehicle, inputs, memory, *more)
         wanted = {"state": N_STATE, "belief": N_BELIEF, "command": vehicle.n_rotors, **kept}
-        left = given_by(part, given, equations, wanted, needed=())
-        results = {(NEXT if name in kept else FOUND) + name: value for name, value in left.items()} | given.left
-        sizes = {name: value.numel() for name, value in left.items()}
-        made += left
-        known |= {*kept, *(name.removeprefix(FOUND) for name in given.read)}
+        outputs = given_by(part, inputs, equations, wanted, needed=())
+        results = {(NEXT if name in kept else FOUND) + name: value for name, value in outputs.items()} | inputs.left
+        sizes = {name: value.numel() for name, value in outputs.items()}
+        result_names += outputs
+        known |= {*kept, *(name.removeprefix(FOUND) for name in inputs.read)}
         if results:
-            functions.append(named_function(f"{type(part).__name__}_{which}", given.read, results))
-    refuse_unread(part, made, sorted(known))
+            functions.append(named_function(f"{type(part).__name__}_{which}", inputs.read, results))
+    refuse_unread(part, result_names, sorted(known))
     return functions

@@ -1,4 +1,4 @@
-/* A control instant: the operations of instant.py, among them the MPC's step, on the arrays that they have in Python,
+/* A control instant: the calls of control_step.py, among them the MPC's step, on the arrays that they have in Python,
    so that at any instant the one may take over from the other. Every number is Python's own. What is out of the
    ordinary is left to Python, before anything has been changed, or after it was changed back: a function then returns
    0. Freestanding C11: no allocation, of libraries only math.h; the caller has the clock. compiled_loop.py reads the
@@ -17,7 +17,7 @@
 #endif
 
 enum { BODY = 13, ATTITUDE = 3, PATH = 15, YAW = 4 };
-/* KINDS of instant.py */
+/* KINDS of control_step.py */
 enum { CALL, COPY, COMMIT, WINDOW, SQUARE, DIVIDE, MIX, ADD, GATHER, FINITE, NEAR, PLAN, PYTHON };
 
 typedef REAL real;
@@ -36,14 +36,14 @@ typedef struct { /* a function that CasADi has generated, its arrays and its mem
     real *w;
 } function;
 
-typedef struct { /* see instant.py; next: of a COMMIT, its source; count: of a WINDOW, length of to's rows, factor: how
+typedef struct { /* see control_step.py; next: of a COMMIT, its source; count: of a WINDOW, length of to's rows, factor: how
    many, where source says which; rows, columns: of a GATHER's block */
     integer kind, every, count, rows, columns;
     real factor;
     real *to, *next, *other;
     const real *source, *when;
     const function *function;
-} operation;
+} step_call;
 
 typedef struct { /* the MPC's step, with the arrays that it reads and leaves */
     function prepare, feedback, bounded;
@@ -62,15 +62,15 @@ typedef struct { /* at some instants: path, heading, and which rows of the state
 
 typedef struct { /* for which instant a step has been prepared, -1: for none; steps before it in this flight; then
                     whether there is a window, a reading of the accelerometer, one of the rotors */
-    real t, prepared, k, referred, read, turning, state[BODY], force[3], speed[];
+    real t, prepared, k, referred, accelerometer_valid, rotor_speed_valid, state[BODY], specific_force[3], rotor_speed[];
 } measured;
 
 typedef struct {
-    const operation *operations;
-    integer operations_size, inputs;
+    const step_call *calls;
+    integer calls_size, inputs;
     mpc *plan; /* null: of a law in closed form */
-    real *state, *force, *speed, *path, *yaw; /* what the controller is told, see Told */
-    real *read, *turning; /* whether force and speed are measured now */
+    real *state, *specific_force, *rotor_speed, *path, *yaw; /* what the controller is given, see InputArrays */
+    real *accelerometer_valid, *rotor_speed_valid; /* whether force and rotor_speed are measured now */
     /* of `step` alone */
     const measured *given;
     const reference *reference, *window;
@@ -164,7 +164,7 @@ static int plan(mpc *p) {
 
 #endif
 
-static void look_ahead(const reference *r, integer at, const operation *o, integer n) {
+static void look_ahead(const reference *r, integer at, const step_call *o, integer n) {
     const integer *rows = r->where + at * r->rows, count = o->source ? (integer)o->factor : r->rows;
     for (integer i = 0; i < count; i++) {
         const integer row = rows[o->source ? (integer)o->source[i] : i];
@@ -174,7 +174,7 @@ static void look_ahead(const reference *r, integer at, const operation *o, integ
 }
 
 /* Every number is summed up in the order of the rows. */
-static void gather(real *restrict to, const operation *o) {
+static void gather(real *restrict to, const step_call *o) {
     const integer n = o->columns, block = o->rows * n;
     const real factor = o->factor, *last = to + o->count;
     for (const real *source = o->source; to < last; source += block)
@@ -187,13 +187,13 @@ static void gather(real *restrict to, const operation *o) {
 
 #ifdef ALONE
 static int planned(mpc *p);
-static int within_reach(const operation *o, const mpc *p);
+static int within_reach(const step_call *o, const mpc *p);
 #else
 static int planned(mpc *p) { return plan(p); }
-static int within_reach(const operation *o, const mpc *p) { return (void)o, (void)p, 0; }
+static int within_reach(const step_call *o, const mpc *p) { return (void)o, (void)p, 0; }
 #endif
 
-static int operate(const loop *l, const operation *o, const reference *r, integer at) {
+static int operate(const loop *l, const step_call *o, const reference *r, integer at) {
     const integer n = o->count;
     switch (o->kind) {
     case CALL: return !run(o->function);
@@ -214,24 +214,24 @@ static int operate(const loop *l, const operation *o, const reference *r, intege
     }
 }
 
-static int due(const operation *o, integer k) { return !(k % o->every) && (!o->when || *o->when != 0); }
+static int due(const step_call *o, integer k) { return !(k % o->every) && (!o->when || *o->when != 0); }
 
 #ifndef ALONE
-/* Whether readings.py would admit what is measured; force, speed: may be null. */
-static int admitted(const loop *l, const real *x, const real *force, const real *speed) {
+/* Whether readings.py would admit what is measured; specific_force, rotor_speed: may be null. */
+static int admitted(const loop *l, const real *x, const real *specific_force, const real *rotor_speed) {
     if (!ordinary(x, BODY, LARGEST) || !(fabs(attitudes_product(x, x) - 1) < LENGTH_ERROR)) return 0;
-    return (!force || ordinary(force, 3, LARGEST)) && (!speed || ordinary(speed, l->inputs, LARGEST));
+    return (!specific_force || ordinary(specific_force, 3, LARGEST)) && (!rotor_speed || ordinary(rotor_speed, l->inputs, LARGEST));
 }
 #endif
 
-/* Control instant k of a flight, at the instant `at` of a reference, for what the controller has been told. */
+/* Control instant k of a flight, at the instant `at` of a reference, for what the controller has been given. */
 static int control(const loop *l, integer k, const reference *r, integer at) {
     copy(l->path, r->paths + PATH * at, PATH);
     copy(l->yaw, r->yaws + YAW * at, YAW);
-    for (integer i = 0; i < l->operations_size; i++) {
-        if (!due(l->operations + i, k) || operate(l, l->operations + i, r, at)) continue;
-        for (i = 0; i < l->operations_size; i++) {
-            const operation *o = l->operations + i;
+    for (integer i = 0; i < l->calls_size; i++) {
+        if (!due(l->calls + i, k) || operate(l, l->calls + i, r, at)) continue;
+        for (i = 0; i < l->calls_size; i++) {
+            const step_call *o = l->calls + i;
             if (o->kind == COMMIT) copy(o->next, o->to, o->count);
         }
         return 0;
@@ -253,11 +253,11 @@ int step(loop *l) {
     real at = rint(m->t / l->period);
     at = at < 0 ? 0 : at < l->reference->instants - 1 ? at : l->reference->instants - 1;
     if ((m->prepared >= 0 && m->prepared != at) || (m->referred && !of_numbers(r, l->inputs))) return 0;
-    if (!admitted(l, m->state, m->read ? m->force : 0, m->turning ? m->speed : 0)) return 0;
+    if (!admitted(l, m->state, m->accelerometer_valid ? m->specific_force : 0, m->rotor_speed_valid ? m->rotor_speed : 0)) return 0;
     copy(l->state, m->state, BODY);
-    if (m->read) copy(l->force, m->force, 3);
-    if (m->turning) copy(l->speed, m->speed, l->inputs);
-    *l->read = m->read, *l->turning = m->turning;
+    if (m->accelerometer_valid) copy(l->specific_force, m->specific_force, 3);
+    if (m->rotor_speed_valid) copy(l->rotor_speed, m->rotor_speed, l->inputs);
+    *l->accelerometer_valid = m->accelerometer_valid, *l->rotor_speed_valid = m->rotor_speed_valid;
     if (l->plan) *l->plan->unprepared = m->prepared < 0;
     const int made = control(l, (integer)m->k, r, m->referred ? 0 : (integer)at);
     if (l->plan) *l->plan->unprepared = 1;

@@ -1,14 +1,16 @@
 """What options of controllers and of remedies have in common; a controller's part stands with its law.
 
-A remedy is put around a controller against errors of its model, delays and disturbances; see control/wrapped.py.
+A compensation is put around a controller against errors of its model, delays and disturbances; see control/wrapped.py.
 """
 
 from __future__ import annotations
 
 from typing import Any, ClassVar
 
+from quadexp.models.build_context import BuildContext
+from quadexp.parts.former import names_of
 from quadexp.parts.models import is_shipped
-from quadexp.parts.part import Given, Part
+from quadexp.parts.part import Part
 from quadexp.parts.settings import Setting, key, keyed
 from quadexp.parts.user_modules import own_folders
 
@@ -45,21 +47,21 @@ class ControllerPart(Part):
 
     @property
     def knows_plant(self) -> bool:
-        """Whether it is told the plant's own equations or coefficients."""
+        """Whether it is given the plant's own equations or coefficients."""
         return "plant" in self.kinds
 
-    def build(self, given: Given) -> Any:
-        """The Controller of given.vehicle. Raises UsageError where it lacks what it needs."""
+    def build(self, context: BuildContext) -> Any:
+        """The Controller of context.vehicle. Raises UsageError where it lacks what it needs."""
         raise NotImplementedError
 
 
 @keyed
-class Remedy(Part):
-    """A remedy. believes: whether it tells the controller of disturbances, see control/base.py."""
+class Compensation(Part):
+    """A compensation. believes: whether it tells the controller of disturbances, see control/base.py."""
 
     believes: ClassVar[bool] = False
 
-    def scales_air(self, given: Given) -> bool:
+    def scales_air(self, context: BuildContext) -> bool:
         """Whether it finds a scale of the controller's model of the air."""
         return False
 
@@ -68,12 +70,15 @@ class Remedy(Part):
         return settings
 
     def around(self, controller: Any) -> Any:
-        """The controller inside the remedy. Raises UsageError where it cannot be put around this controller."""
+        """The controller inside the compensation. Raises UsageError where it cannot be put around this controller."""
         raise NotImplementedError
 
-    def put_around(self, controller: Any, given: Given) -> Any:
-        """`around`, for a remedy that has to know more than the controller, such as given.sheet."""
+    def put_around(self, controller: Any, context: BuildContext) -> Any:
+        """`around`, for a compensation that has to know more than the controller, such as context.sheet."""
         return self.around(controller)
 
-    def check(self, vehicle: Any, plant: Any, controller: ControllerPart, others: tuple[Remedy, ...]) -> None:
+    def check(self, vehicle: Any, plant: Any, controller: ControllerPart, others: tuple[Compensation, ...]) -> None:
         """Raise UsageError where it needs what neither vehicle nor world measure, nor the other parts know."""
+
+
+__getattr__ = names_of(__name__)

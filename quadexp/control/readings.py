@@ -1,4 +1,4 @@
-"""One gate for what a controller is told at a control instant: numbers that are not finite reach no controller.
+"""One gate for what a controller is given at a control instant: numbers that are not finite reach no controller.
 
     state                               refused, with the name of the value; so is an attitude of no length
     accelerometer, rotor speeds         missing, as a reading is that did not come, for HELD at most after the last good

@@ -1,8 +1,8 @@
-"""A controller around another one: what every remedy is that is not part of the controller's own model.
+"""A controller around another one: what every compensation is that is not part of the controller's own model.
 
-    observer < adaptive < inner < delay                      the one named first is nearest to the controller
+    observer < adaptive < rate_loop < delay                  the one named first is nearest to the controller
 
-A subclass overrides what it changes; all the rest is the inner controller's.
+A subclass overrides what it changes; all the rest is the wrapped controller's.
 """
 
 from __future__ import annotations
@@ -12,39 +12,40 @@ from typing import Any
 import numpy as np
 
 from quadexp.control.base import Controller, Window
-from quadexp.control.instant import InOperations
+from quadexp.control.control_step import InCalls
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.models.residual import Residual, no_residual
 from quadexp.physics.vehicle import Vehicle
 
 
-class WrappedController(InOperations):
-    """A Controller (see control.base) that passes everything on to `inner`, and says by `instant` what it does."""
+class WrappedController(InCalls):
+    """A Controller (see control.base) that passes everything on to `wrapped`, and says by `control_step` what it
+    does."""
 
-    def __init__(self, inner: Controller) -> None:
-        self.inner = inner
-        self.vehicle: Vehicle = inner.vehicle
-        self.control_period, self.node_times = inner.control_period, inner.node_times
-        self.reference_period, self.backend = inner.reference_period, inner.backend
-        self.name, self.source = inner.name, inner.source
+    def __init__(self, wrapped: Controller) -> None:
+        self.wrapped = wrapped
+        self.vehicle: Vehicle = wrapped.vehicle
+        self.control_period, self.node_times = wrapped.control_period, wrapped.node_times
+        self.reference_period, self.backend = wrapped.reference_period, wrapped.backend
+        self.residual_name, self.source = wrapped.residual_name, wrapped.source
 
     @property
     def residual(self) -> Residual | None:
         """See Controller.residual."""
-        return self.inner.residual
+        return self.wrapped.residual
 
     def forget(self) -> None:
         """See Controller.forget."""
-        self.inner.forget()
+        self.wrapped.forget()
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         super().reset(x, window)
-        self.inner.reset(x, window)
+        self.wrapped.reset(x, window)
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""
-        return self.inner.log()
+        return self.wrapped.log()
 
 
 def thrust_at_start(window: Window, vehicle: Vehicle) -> np.ndarray:
@@ -60,14 +61,14 @@ def layers(controller: Any) -> list[WrappedController]:
     remedies = []
     while isinstance(controller, WrappedController):
         remedies.append(controller)
-        controller = controller.inner
+        controller = controller.wrapped
     return remedies
 
 
 def innermost(controller: Any) -> Any:
     """The controller inside all remedies; the controller itself where there is none."""
     while isinstance(controller, WrappedController):
-        controller = controller.inner
+        controller = controller.wrapped
     return controller
 
 

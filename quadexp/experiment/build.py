@@ -20,10 +20,12 @@ from typing import Any, TypeVar
 from quadexp.control.part import WITHOUT_CHECKPOINT
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identity import MODEL_FILE, ModelFile, part_identity
+from quadexp.models.build_context import BuildContext
+from quadexp.parts.former import ATTRIBUTES
 from quadexp.parts.models import maker
-from quadexp.parts.part import Given, Part
+from quadexp.parts.part import Part
 from quadexp.parts.schema import Config, remedies, world_parts
-from quadexp.parts.sensor_sheet import SensorSheet, Stated
+from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.parts.user_modules import generation
 from quadexp.physics.vehicle import Vehicle, plausible
 from quadexp.provenance import content_hash
@@ -36,7 +38,7 @@ SEAMS = {
     "trajectory": ("duration", "peak_speed", "flat_output"),
     "plant": ("vehicle", "reset", "advance", "residual"),
     "controller": (
-        "vehicle", "control_period", "node_times", "reference_period", "residual", "backend", "name", "source",
+        "vehicle", "control_period", "node_times", "reference_period", "residual", "backend", "residual_name", "source",
         "forget", "reset", "step", "log",
     ),
 }  # fmt: skip
@@ -50,7 +52,7 @@ class _Kept(threading.local):
 _kept = _Kept()
 
 
-def keep(record: Any, make: Callable[[], T]) -> T:
+def cached(record: Any, make: Callable[[], T]) -> T:
     """What this thread made before of an equal record, else a new one."""
     things = _kept.things
     key = marshal.dumps([generation(), record], 2)  # of version 2 equal ones have equal bytes
@@ -73,26 +75,28 @@ def unshared() -> Iterator[None]:
 
 def build_vehicle(config: Vehicle) -> Vehicle:
     """The vehicle; raises UsageError where one of its numbers is no multirotor's."""
-    return keep(["vehicle", config.recorded()], lambda: plausible(config))
+    return cached(["vehicle", config.recorded()], lambda: plausible(config))
 
 
 # ----------------------------------------------------------------------------------------------------------- the world
 def build_plant(vehicle: Vehicle, config: Any, believed: Vehicle | None = None) -> Any:
     """The simulated truth.
 
-    vehicle: that is flown. believed: the one that controllers, and a model identified from flights, are made for, where
+    vehicle: that is flown. assumed: the one that controllers, and a model identified from flights, are made for, where
     it is another.
     """
     of = believed or vehicle
-    given = Given(vehicle=vehicle, believed=of, plant_model=lambda path, kind: model_residual(of, Path(path), kind))
+    context = BuildContext(
+        vehicle=vehicle, assumed_vehicle=of, plant_model=lambda path, kind: model_residual(of, Path(path), kind)
+    )
     record = ["plant", vehicle.fingerprint, of.fingerprint, part_identity("plant", config)]
-    return keep(record, lambda: checked("plant", config, config.anew().build(given)))
+    return cached(record, lambda: checked("plant", config, config.anew().build(context)))
 
 
 def build_world(config: Config, vehicle: Vehicle) -> Any:
     """The plant in its world; the plant itself where no part of the world does anything.
 
-    vehicle: the one that controllers believe in.
+    vehicle: the one that controllers assume.
     Raises UsageError where the plant is none of the shared integrator, which the effects need.
     """
     parts = world_parts(config)
@@ -119,13 +123,13 @@ def build_world(config: Config, vehicle: Vehicle) -> Any:
             )
         return World(airframe, effects, believed)
 
-    return keep(record, make)
+    return cached(record, make)
 
 
 def build_effects(vehicle: Vehicle, *parts: Any) -> tuple[list[Any], Vehicle]:
     """The effects of parts of a world, and the vehicle that is flown in it.
 
-    vehicle: the one that controllers believe in. Raises UsageError where a file is missing, or the flown vehicle could
+    vehicle: the one that controllers assume. Raises UsageError where a file is missing, or the flown vehicle could
     not hover.
     """
     effects = [_with_file(part.anew()) for part in parts]
@@ -175,16 +179,16 @@ def build_trajectory(config: Any, vehicle: Vehicle | None = None) -> Any:
     """
 
     def make() -> Any:
-        made = checked("trajectory", config, _with_file(config.anew()).build(vehicle))
+        product = checked("trajectory", config, _with_file(config.anew()).build(vehicle))
         if not config.shipped:
-            check_own(made, config.name)
-        return made
+            check_own(product, config.name)
+        return product
 
     if not (config.shipped or config.follows_limits):
         return make()
     within = None if config.allow_infeasible or vehicle is None else vehicle.fingerprint
     # Its polynomials are costly, and the same for all.
-    return keep(["trajectory", part_identity("trajectory", config), within], make)
+    return cached(["trajectory", part_identity("trajectory", config), within], make)
 
 
 def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
@@ -194,13 +198,13 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     believed: Any = [part_identity("plant", config.plant), [*world_parts(config)]]
     if not controller.knows_plant:
         believed = model.sha256 if model else ""
-    sheet = sensor_sheet(plant)
+    sensor_spec = sensor_spec_of(plant)
     parts = {"controller": controller, **around}
     identities = {group: part_identity(group, part) for group, part in parts.items()}
-    record = ["controller", vehicle.fingerprint, identities, believed, asdict(sheet)]
+    record = ["controller", vehicle.fingerprint, identities, believed, asdict(sensor_spec)]
 
-    given = Given(
-        vehicle=vehicle, plant=plant, sheet=sheet, remedies=tuple(around.values()),
+    context = BuildContext(
+        vehicle=vehicle, plant=plant, sensor_spec=sensor_spec, remedies=tuple(around.values()),
         residual=lambda *kinds: build_residual(kinds, vehicle, plant, model),
         residuals=lambda kinds: residuals(kinds, vehicle, model),
         checkpoint=lambda index: load_checkpoint(vehicle, model.files[index]) if model else None,
@@ -208,22 +212,22 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     )  # fmt: skip
 
     def make() -> Any:
-        built = checked("controller", controller, controller.anew().build(given))
+        built = checked("controller", controller, controller.anew().build(context))
         try:
             for remedy in around.values():
-                built = remedy.anew().put_around(built, given)
+                built = remedy.anew().put_around(built, context)
         except UsageError as error:
             raise UsageError(f"controller={controller.name}: {error}") from None
         return built
 
-    return keep(record, make)
+    return cached(record, make)
 
 
-def sensor_sheet(plant: Any) -> SensorSheet:
+def sensor_spec_of(plant: Any) -> SensorSpec:
     """What is stated of the sensors of what is flown; without a world they are exact."""
-    sheet: SensorSheet | None = getattr(plant, "sheet", None)
-    exact = Stated() if sheet is None and hasattr(plant, "rotor_speed") else None
-    return SensorSheet(rotor_speed=exact) if sheet is None else sheet
+    sensor_spec: SensorSpec | None = getattr(plant, "sensor_spec", None)
+    exact = Stated() if sensor_spec is None and hasattr(plant, "rotor_speed") else None
+    return SensorSpec(rotor_speed=exact) if sensor_spec is None else sensor_spec
 
 
 def build_residual(kinds: tuple[str, ...], vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
@@ -241,7 +245,7 @@ def build_residual(kinds: tuple[str, ...], vehicle: Vehicle, plant: Any, model: 
 
 
 def check_remedies(config: Config, vehicle: Vehicle, plant: Any) -> None:
-    """Raise UsageError where a remedy needs what neither vehicle nor world measure, nor the other parts know."""
+    """Raise UsageError where a compensation needs what neither vehicle nor world measure, nor the other parts know."""
     around = tuple(remedies(config).values())
     for remedy in around:
         remedy.check(vehicle, plant, config.controller, around)
@@ -249,9 +253,12 @@ def check_remedies(config: Config, vehicle: Vehicle, plant: Any) -> None:
 
 def checked(seam: str, part: Part, product: Any) -> Any:
     """What a part made; UsageError where it lacks what its seam asks for."""
-    lacking = [name for name in SEAMS[seam] if not hasattr(product, name)]
-    if lacking:
-        said = f"made no {seam}, a {type(product).__name__} without {', '.join(lacking)}"
+    for old, new in ATTRIBUTES.get(seam, {}).items():
+        if not hasattr(product, new) and hasattr(product, old):
+            setattr(product, new, getattr(product, old))
+    missing = [name for name in SEAMS[seam] if not hasattr(product, name)]
+    if missing:
+        said = f"made no {seam}, a {type(product).__name__} without {', '.join(missing)}"
         raise UsageError(f"{seam}._target_={part.class_path}: {said}")
     return product
 
@@ -278,7 +285,7 @@ def residuals(kinds: Iterable[str], vehicle: Vehicle, model: ModelFile | None) -
 
     files = zip((kind for kind in kinds if kind not in WITHOUT_CHECKPOINT), model.files if model else (), strict=False)
     record = ["residual", vehicle.fingerprint]
-    return [keep([*record, kind, file.sha256], partial(of_file, kind, file)) for kind, file in files]
+    return [cached([*record, kind, file.sha256], partial(of_file, kind, file)) for kind, file in files]
 
 
 def model_residual(vehicle: Vehicle, path: Path, kind: str = "best") -> Any:

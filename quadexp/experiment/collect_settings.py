@@ -36,7 +36,7 @@ class CollectConfig(Part):
         when="identified=null",
     )
     state: Literal["estimate", "truth"] = key(
-        "estimate", "of a simulated flight with an estimator: the estimate that the controller was told, or the truth"
+        "estimate", "of a simulated flight with an estimator: the estimate that the controller was given, or the truth"
     )
     target: Literal["auto", "specific_force", "velocity"] = key(
         "auto", "target of recorded flights: specific force of the accelerometer (auto), or derivative of the velocity"

@@ -1,4 +1,4 @@
-"""The flight loop of rollout.py in C, for a compiled plant of quadexp.world under a controller that is operations.
+"""The flight loop of rollout.py in C, for a compiled plant of quadexp.world under a controller that is calls.
 
 flight.c makes whole control periods on the arrays that plant and controller have in Python, so that either can go on
 where the other stopped. It returns where something is out of the ordinary (a failed step, a vehicle far from its
@@ -19,7 +19,7 @@ from quadexp.compile.backend import strict_library
 from quadexp.control.base import Controller
 from quadexp.control.compiled_loop import SOURCE as INSTANT
 from quadexp.control.compiled_loop import CompiledLoop, CompiledReference, addresses, goes_in_c, structure
-from quadexp.control.instant import in_operations
+from quadexp.control.control_step import in_calls
 from quadexp.physics.state import N_STATE
 from quadexp.world.base import Plant
 from quadexp.world.integrator import RotorSpeedPlant, SimulatedPlant
@@ -42,7 +42,7 @@ def _library() -> ctypes.CDLL:
 
 
 def covers(plant: Plant, controller: Controller, rng: Any) -> bool:
-    """Whether C can fly them: a plant whose period is its compiled function, under a controller of operations.
+    """Whether C can fly them: a plant whose period is its compiled function, under a controller of calls.
 
     A plant that overrides `advance`, or says in Python how fast its rotors turn, is flown in Python."""
     if not isinstance(plant, SimulatedPlant) or type(plant).advance is not SimulatedPlant.advance:
@@ -54,7 +54,7 @@ def covers(plant: Plant, controller: Controller, rng: Any) -> bool:
         and isinstance(rng, np.random.Generator)
         and controller.backend == "compiled"
         and controller.reference_period == 0
-        and in_operations(controller)
+        and in_calls(controller)
     )
 
 
@@ -86,18 +86,18 @@ class CompiledFlight:
         rotors = np.array(plant.rotor_places, np.int64) if hasattr(plant, "rotor_speed") else None
         if logged is None:
             logged = np.arange(log["inner"].shape[1])
-        instant, told = controller.running.instant, controller.running.told
+        instant, inputs = controller.running.control_step, controller.running.inputs
         self.flies = goes_in_c(controller) and sum(array.size for array in instant.logged) == log["extra"].shape[1]
         if not self.flies:
             return
         self._loop = CompiledLoop(controller.running, controller.control_period)
-        self._reference, self._told, self._turning = CompiledReference(reference, path), told, rotors is not None
+        self._reference, self._told, self._turning = CompiledReference(reference, path), inputs, rotors is not None
         arrays = {f"plant_{name}": period.arguments[name] for name in ("x", "inner", "u")}
         arrays |= {name: period.results[name] for name in ("x_next", "inner_next", "specific_force", "doubt")}
         if self._world:
             arrays |= {"plant_time": period.arguments["time"], "measured": period.results["measured"]}
         arrays |= {"along": np.ascontiguousarray(along), "x": self._x, "inner": self._inner}
-        arrays |= {"command": instant.command, "held": instant.held, "rotors": rotors}
+        arrays |= {"command": instant.command, "held": instant.saturated, "rotors": rotors}
         arrays["logged"] = np.ascontiguousarray(logged, np.int64)
         arrays["extra"] = np.array([array.ctypes.data for array in instant.logged], np.uintp)
         arrays["extra_sizes"] = np.array([array.size for array in instant.logged], np.int64)
@@ -127,15 +127,15 @@ class CompiledFlight:
 
         Returns the instant at which Python is needed, whether its control step has been made, state and reading then.
         """
-        plan = self._loop.running.instant.plan if self.flies else None
+        plan = self._loop.running.control_step.plan if self.flies else None
         if not self.flies or (plan is not None and plan.mpc.cold):
             return k, False, x, reading
-        flight, plant, drawn, told, mpc = self._flight, self._plant, self._drawn, self._told, self._loop.mpc
-        self._x[:], told.force[:], self._inner[:] = x, reading, plant.inner
-        told.state[:] = plant.measured if self._world else x
-        told.read[0], told.turning[0] = 1.0, self._turning
+        flight, plant, drawn, inputs, mpc = self._flight, self._plant, self._drawn, self._told, self._loop.mpc
+        self._x[:], inputs.specific_force[:], self._inner[:] = x, reading, plant.inner
+        inputs.state[:] = plant.measured if self._world else x
+        inputs.accelerometer_valid[0], inputs.rotor_speed_valid[0] = 1.0, self._turning
         if self._turning:
-            told.speed[:] = plant.rotor_speed
+            inputs.rotor_speed[:] = plant.rotor_speed
         flight.time, flight.next_change = plant.time, plant.next_change
         flight.commanded = False
         records = self._arrays["log_record"]
@@ -149,8 +149,8 @@ class CompiledFlight:
             drawn.draw()
         drawn.taken, plant.time, plant.inner = k, flight.time, self._inner.copy()
         if self._world:
-            plant.measured = told.state.copy()
+            plant.measured = inputs.state.copy()
         at = k + flight.commanded
         self._loop.running.k = at
         self._loop.record(records.item(at - 1, 0))
-        return k, bool(flight.commanded), self._x.copy(), told.force.copy()
+        return k, bool(flight.commanded), self._x.copy(), inputs.specific_force.copy()

@@ -19,8 +19,8 @@ from quadexp.experiment.build import (
     build_trajectory,
     build_vehicle,
     build_world,
+    cached,
     check_remedies,
-    keep,
 )
 from quadexp.experiment.identity import (
     ModelFile,
@@ -229,7 +229,7 @@ def fly_one(
     def check() -> str:
         return check_feasible(config, trajectory, vehicle)
 
-    note = keep(["path", path_digest, *beside], check) if known else check()
+    note = cached(["path", path_digest, *beside], check) if known else check()
     loop = build_loop(config, model)
     controller, flown = loop.controller, through(loop)
     limits = {"lost_distance": config.trajectory.lost_distance, "lost_box": config.trajectory.lost_box}
@@ -237,11 +237,11 @@ def fly_one(
     flight = flown.fly(
         trajectory, generator(config, metadata["config"]), digest=path_digest, metadata=metadata, **limits
     )
-    residual = {"name": controller.name, "source": controller.source}
+    residual = {"name": controller.residual_name, "source": controller.source}
     late, lag, age = (float(getattr(loop.plant, name, 0.0)) for name in ("loop_delay", "loop_lag", "age"))
     timing = {"age": age, "dead_time": late - age, "lag": lag}  # s, as they are
     flight.metadata.update(reference_note=note, residual=residual, margins=flown.margins, timing=timing)
-    flight.metadata["lacking"] = list(getattr(controller, "lacking", ()))
+    flight.metadata["lacking"] = list(getattr(controller, "missing_inputs", ()))
     if getattr(config.controller, "attitude_error", "") == "plain" and len(flight):
         reference = flight.stack([f"ref_{name}" for name in STATE_COLUMNS[ATTITUDE]])
         flight.metadata["yaw_share"] = yaw_share(reference, np.array(config.controller.attitude_weight))

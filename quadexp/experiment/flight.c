@@ -24,7 +24,7 @@ typedef struct {
     const integer *rotors;
     real time, next_change;
     integer commanded; /* whether the control step of the instant has been made, and its period not yet flown */
-    /* command and rotors at a limit: what the operations leave; held: null with a plan */
+    /* command and rotors at a limit: what the calls leave; held: null with a plan */
     const real *command, *held;
     /* log, a row a control instant */
     const integer *logged; /* which inner states */
@@ -44,12 +44,12 @@ static int command(flight *f, integer k) {
     const loop *l = f->loop;
     if (!(distance(f->x, f->along + BODY * k) <= f->near) || !ordinary(f->x, BODY, LARGEST)) return 0;
     const real began = seconds();
-    if (!admitted(l, l->state, l->force, f->rotors ? l->speed : 0) || !control(l, k, f->reference, k)) return 0;
+    if (!admitted(l, l->state, l->specific_force, f->rotors ? l->rotor_speed : 0) || !control(l, k, f->reference, k)) return 0;
 
     copy(f->log_state + BODY * k, f->x, BODY);
     if (f->log_estimate) copy(f->log_estimate + BODY * k, l->state, BODY);
     copy(f->log_input + l->inputs * k, f->command, l->inputs);
-    copy(f->log_reading + 3 * k, l->force, 3);
+    copy(f->log_reading + 3 * k, l->specific_force, 3);
     for (integer i = 0; i < f->logged_size; i++) f->log_inner[f->logged_size * k + i] = f->inner[f->logged[i]];
     real *row = f->log_extra + f->extra_size * k;
     for (integer i = 0; i < f->extra_arrays; row += f->extra_sizes[i++]) copy(row, f->extra[i], f->extra_sizes[i]);
@@ -77,9 +77,9 @@ static int advance(flight *f, integer k) {
     copy(f->x, f->x_next, BODY);
     copy(l->state, f->measured ? f->measured : f->x, BODY);
     copy(f->inner, f->inner_next, f->inner_size);
-    copy(l->force, f->specific_force, 3);
+    copy(l->specific_force, f->specific_force, 3);
     if (f->rotors)
-        for (integer i = 0; i < l->inputs; i++) l->speed[i] = f->inner[f->rotors[i]];
+        for (integer i = 0; i < l->inputs; i++) l->rotor_speed[i] = f->inner[f->rotors[i]];
     f->time += l->period;
     return 1;
 }

@@ -5,8 +5,8 @@
     code       a user's classes and all modules behind them; packages that not every flight imports     `inputs`
     program    the sources of this package behind this flight, and the libraries that they import       `program`
 
-The first three make the key of a cell (sweeps/plan.py). A cell of another program is told apart when it is recalled, so
-that its user can keep it. What is kept within a process, and what a worker compares with the driver, is told by the
+The first three make the key of a cell (sweeps/plan.py). A cell of another program is distinguished when it is recalled,
+so that its user can keep it. What is kept within a process, and what a worker compares with the driver, is given by the
 same (`part_identity`).
 """
 
@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.names import sha256_of
+from quadexp.parts.former import hashed
 from quadexp.parts.models import is_shipped, maker, model_part
 from quadexp.parts.part import Part
 from quadexp.parts.schema import Config, remedies, world_parts
@@ -210,8 +211,8 @@ def decides(group: str, part: Part) -> Decides:
     behind = {kind.__module__: kind for kind in reversed(type(part).__mro__)}
     code, elsewhere, modules = modules_of(behind)
     texts = {f"{group} class": part.class_path} | {f"{group} module {name}": content for name, content in code.items()}
-    own = {name.partition(".")[0] for name in modules}
-    tops = {name.partition(".")[0] for name in elsewhere} - sys.stdlib_module_names - own - {OWN}
+    own_packages = {name.partition(".")[0] for name in modules}
+    tops = {name.partition(".")[0] for name in elsewhere} - sys.stdlib_module_names - own_packages - {OWN}
     outside = {name for name in behind if name in elsewhere and name.partition(".")[0] in tops}
     texts |= {f"{group} module {name}": _outside(behind[name]) for name in outside}
     settings = {key: value for key, value in part.recorded().items() if key != "name"}
@@ -278,7 +279,7 @@ class FlightIdentity:
     @property
     def digest(self) -> str:
         """Hash of all of it."""
-        return digest([self.record, self.inputs, self.program])
+        return digest([hashed(self.record), self.inputs, self.program])
 
     @property
     def code(self) -> str:

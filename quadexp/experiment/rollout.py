@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.control.base import Controller, Measurement, Window
-from quadexp.control.instant import stepped
+from quadexp.control.control_step import stepped
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.controller import as_controller
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
@@ -186,8 +186,8 @@ def fly(
     log = _Log(len(reference), plant.vehicle.n_rotors, len(inner.names), world is not None and world.estimates)
     reading = np.array([0.0, 0.0, plant.vehicle.gravity])
     measured, speed = None, None
-    told = x if world is None else world.measured
-    controller.reset(told, reference.window(0))
+    measured_state = x if world is None else world.measured
+    controller.reset(measured_state, reference.window(0))
     gate = ReadingGate(plant.vehicle.n_rotors)
     compiled: CompiledFlight | None = None
     box = None if lost_box is None else reference.box(lost_box)
@@ -211,14 +211,14 @@ def fly(
                 outcome, cause = "lost", f"{lost_box:g} m outside the box of the reference at t={t:.2f} s"
                 break
             try:
-                asked = gate.admit(Measurement(t, told, measured, speed)), reference.window(k)
+                asked = gate.admit(Measurement(t, measured_state, measured, speed)), reference.window(k)
             except QuadexpError as error:
                 outcome, cause = "solver_failed", str(error)
                 break
             began = time.perf_counter()
             u, record = stepped(controller, *asked)
             took = time.perf_counter() - began
-            row = (x, u, state_reference, input_reference, reading, inner.values(), told)
+            row = (x, u, state_reference, input_reference, reading, inner.values(), measured_state)
             log.add(*row, record, took, controller.log())
             if in_c and compiled is None:  # when all that logs has said what
                 log.state_reference[:], log.input_reference[:] = along = reference.along()
@@ -242,7 +242,7 @@ def fly(
                 last = log.rows - 1
                 u = log.input[last].copy()
                 gate.admit(Measurement(float(reference.t[last]), log.state[last], log.reading[last], None))
-        told = x if world is None else world.measured
+        measured_state = x if world is None else world.measured
         measured, speed = reading, getattr(plant, "rotor_speed", None)
     if not log.rows:
         raise QuadexpError(f"the flight ended before its first sample: {cause}")
@@ -315,7 +315,7 @@ class _Inner:
 
 
 class _Log:
-    """The samples of a flight. inner: how many inner states are logged. estimates: whether the controller is told
+    """The samples of a flight. inner: how many inner states are logged. estimates: whether the controller is given
     another state than the true one."""
 
     def __init__(self, samples: int, rotors: int, inner: int, estimates: bool) -> None:
@@ -341,7 +341,7 @@ class _Log:
         input_reference: np.ndarray,
         reading: np.ndarray,
         inner: np.ndarray,
-        told: np.ndarray,
+        estimate: np.ndarray,
         record: StepRecord,
         took: float,
         extra: dict[str, float],
@@ -352,7 +352,7 @@ class _Log:
         self.state_reference[k], self.input_reference[k] = state_reference, input_reference
         self.inner[k] = inner
         if len(self.estimate):
-            self.estimate[k] = told
+            self.estimate[k] = estimate
         if not k:
             self.extra_names, self.extra = [*extra], np.empty((len(self.extra), len(extra)))
         self.extra[k] = [extra[name] for name in self.extra_names]

@@ -60,7 +60,7 @@ FLIGHT_COLUMNS: Columns = {
     "t": Column("s", "", "time since the start of the flight"),
     **_STATE,
     **_besides("ref_", _STATE, "reference {}"),
-    **_besides("est_", _STATE, "{}, as the controller was told it"),
+    **_besides("est_", _STATE, "{}, as the controller was given it"),
     **_each("acc", "m/s^2", "body", "specific force an accelerometer reads"),
     **_BIAS,
     **_besides("est_", _BIAS, "{}, as the filter has it"),
@@ -214,7 +214,7 @@ _OF_ROTORS = {  # of columns with the number of a rotor behind
     "u": Column("N", "body", "commanded static rotor thrust"),
     "ref_u": Column("N", "body", "reference static rotor thrust"),
     "rotor_speed": Column("rad/s", "", "rotor speed"),
-    "est_rotor_speed": Column("rad/s", "", "rotor speed, as the controller was told it"),
+    "est_rotor_speed": Column("rad/s", "", "rotor speed, as the controller was given it"),
     "delivered": Column("N", "body", "static thrust that the rotor delivers"),
     "motor_command": Column("1", "", "normalised command of the motor, 0 to 1"),
     "induced_velocity": Column("m/s", "body", "induced velocity through the rotor, downwards"),
@@ -227,7 +227,7 @@ def describe(name: str, kind: str = "flight") -> Column:
     if known is not None:
         return known
     if name.startswith("taken_"):
-        return Column("s", "", f"when the reading of the {name.removeprefix('taken_')} was taken that is told")
+        return Column("s", "", f"when the reading of the {name.removeprefix('taken_')} was taken that is given")
     quantity, _, rotor = name.rpartition("_")
     return _OF_ROTORS.get(quantity if rotor.isdecimal() else "", Column("", "", ""))
 

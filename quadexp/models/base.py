@@ -35,7 +35,7 @@ from quadexp.physics.state import norms
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugin import shipped_places
 
-Callback = Callable[[str, float], None]  # told a message and the completed share, 0 .. 1
+Callback = Callable[[str, float], None]  # given a message and the completed share, 0 .. 1
 SPEED = "speed"  # norm of the body velocity, m/s
 AXIS = {"a_x": 0, "a_y": 1, "a_z": 2}  # outputs that are accelerations
 Positive = Annotated[float, msgspec.Meta(gt=0)]

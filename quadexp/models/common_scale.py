@@ -66,10 +66,10 @@ def _scales_of_flights(a_z: np.ndarray, thrust: np.ndarray, velocity: np.ndarray
         precision = normal / (noise * together)
         precision[np.arange(fixed, len(precision)), np.arange(fixed, len(precision))] += 1 / spread
         covariance = np.linalg.pinv(precision, hermitian=True)
-        found = covariance @ mixed / (noise * together)
-        noise = float(np.mean((a_z - design @ found) ** 2)) + 1e-12
-        spread = float(np.mean(found[fixed:] ** 2 + np.diag(covariance)[fixed:])) + 1e-12
-    return (found[0] + found[fixed:]) / size[0]
+        scales = covariance @ mixed / (noise * together)
+        noise = float(np.mean((a_z - design @ scales) ** 2)) + 1e-12
+        spread = float(np.mean(scales[fixed:] ** 2 + np.diag(covariance)[fixed:])) + 1e-12
+    return (scales[0] + scales[fixed:]) / size[0]
 
 
 ROUNDS = 60  # of expectation and maximisation

@@ -15,7 +15,7 @@ frame="midpoint": R and the features (body velocity, body rate) are those of the
 x_k and x_{k+1}; the target is then the residual at that point to second order in dt (for the torque, after adding the
 gyroscopic moment due to the difference itself, dt/2 (dw x J w + w x J dw) with dw = (w_{k+1} - w_pred) / dt).
 frame="start": both at x_k as in Torrente et al. 2021 (section III-C), first order in dt. On the simplified simulation
-at 50 Hz the targets deviate from the plant's drag by .004 and .08 m/s^2 respectively (root mean square, x and y).
+at 50 Hz the targets deviate from the plant's drag by 0.004 and 0.08 m/s^2 respectively (root mean square, x and y).
 
 `known_noise`: standard deviations of the targets, from white noise of the plant (densities S) and of the estimate
 (standard deviations s per sample, velocity v, rate w, attitude q), which no model of the air can explain:
@@ -215,7 +215,8 @@ def residual_dataset(
 
 
 def as_told(flight: Flight) -> Flight:
-    """The flight with the estimate that its controller was told, est_p_x .., in place of the truth where it has one."""
+    """The flight with the estimate that its controller was given, est_p_x .., in place of the truth where it has
+    one."""
     columns = flight.columns
     estimate = {name: columns[f"est_{name}"] for name in STATE_COLUMNS if f"est_{name}" in columns}
     return replace(flight, columns={**columns, **estimate}) if estimate else flight
@@ -338,7 +339,7 @@ def known_noise(
 ) -> dict[str, Any] | None:
     """Root mean square of the known noise, {output: std}, over the rows of simulated flights.
 
-    worlds: configuration of every flight, by group. of_estimate: the targets come from what the controller was told.
+    worlds: configuration of every flight, by group. of_estimate: the targets come from what the controller was given.
     None where some part of a world has noise that it does not state.
     """
     squares = np.zeros(len(OUTPUTS))

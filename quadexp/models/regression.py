@@ -160,7 +160,7 @@ def _condition(x: np.ndarray, names: Sequence[str], what: str, limit: float) -> 
     if condition > limit:
         mixed = [name for name, share in zip(names, vectors[-1], strict=True) if abs(share) > 0.2]
         raise DataError(
-            f"{what}: {', '.join(mixed)} cannot be told apart in these flights (condition number {condition:.3g},"
+            f"{what}: {', '.join(mixed)} cannot be distinguished in these flights (condition number {condition:.3g},"
             f" {limit:g} is allowed): add flights with more motion, or leave one of them out"
         )
     return condition

@@ -161,7 +161,7 @@ def sum_residual(parts: Sequence[Residual]) -> Residual:
 def _sum(functions: Sequence[ca.Function], parts: Sequence[Residual]) -> ca.Function:
     sizes = [len(part.theta) for part in parts]
     z, theta = symbols(ca.MX, z=functions[0].size1_in(0), theta=sum(sizes))
-    values = [function(z, given) for function, given in zip(functions, split(theta, sizes), strict=True)]
+    values = [function(z, part) for function, part in zip(functions, split(theta, sizes), strict=True)]
     results = [sum(terms[1:], terms[0]) for terms in zip(*values, strict=True)]
     return residual_function("sum", z, theta, results)
 

@@ -2,7 +2,7 @@
 
     rmse     sqrt(mean (a - mean)^2)                                                    unit of the output
     nlpd     mean [ (a - mean)^2 / (2 s^2) + log s + log(2 pi)/2 ], s^2 = variance + noise      nats per row
-    inside_k share of the rows with |a - mean| < k s; a Gaussian has .683 for k = 1 and .954 for k = 2
+    inside_k share of the rows with |a - mean| < k s; a Gaussian has 0.683 for k = 1 and 0.954 for k = 2
 
 Neighbouring rows of a flight are correlated, so whole flights are held out: a split by row would underestimate the
 error. For the same reason the comparison with linear drag, fitted to the same rows, is paired over flights: with

@@ -1,7 +1,7 @@
 """The cells of a sweep, made when they are asked for: a million cells take no more memory than ten.
 
 A combination that contradicts itself, such as `controller=geometric controller.nodes=20`, is an invalid cell: it is
-not flown, and its row of results says why. Only a request that is wrong as a whole is refused (`refuse_mistakes`).
+not flown, and its row of results says why. Only a request that is wrong as a whole is refused (`iterate_validated`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, overload
 from quadexp.errors import ForbiddenValueError, UsageError
 from quadexp.parts.schema import PRESETS, REMEDIES, WORLD, Config, controller_name
 from quadexp.parts.settings import Settings, canonical_text, flat, read_value, record
-from quadexp.progress import doing
+from quadexp.progress import set_status
 
 # Groups that make who flies, and what is flown, and the columns that name each of the two.
 SCOPES: tuple[tuple[Sequence[str], Callable[[Config], tuple[Any, ...]]], ...] = (
@@ -99,7 +99,7 @@ class Cells(Combinations, Sequence[Cell]):
             kept = self._consistent(overrides)
             return Cell(self._compose(kept), overrides, error, frozenset(overrides).difference(kept))
 
-    def sound(self) -> list[Cell]:
+    def all_valid_or_raise(self) -> list[Cell]:
         """All cells; raises the UsageError of the first that is invalid."""
         cells = list(self)
         if error := next((cell.error for cell in cells if cell.error), None):
@@ -122,7 +122,7 @@ class Cells(Combinations, Sequence[Cell]):
         return kept
 
 
-def refuse_mistakes(cells: Iterable[Cell]) -> Iterator[Cell]:
+def iterate_validated(cells: Iterable[Cell]) -> Iterator[Cell]:
     """The cells one after the other; at their end, UsageError where the request itself is wrong: every cell is
     invalid, no cell has a key that is given, or a value is none that its key allows."""
     errors: dict[str, UsageError] = {}  # override -> why the first cell refused it
@@ -130,7 +130,7 @@ def refuse_mistakes(cells: Iterable[Cell]) -> Iterator[Cell]:
     first, valid = None, False
     for place, cell in enumerate(cells):
         if place % 100 == 0:
-            doing(f"composing cell {place}")
+            set_status(f"composing cell {place}")
         if cell.error is None:
             valid = True
         else:
@@ -175,8 +175,8 @@ def varied(cells: Sequence[Cell]) -> list[str]:
                 break
             if any(len({settings.value(cell, key) for cell in several}) > 1 for several in alike.values()):
                 keys.append(key)
-    told = ([(key, settings.value(cell, key)) for key in keys] for cell in cells)
-    return [" ".join(f"{key}={value}" for key, value in pairs if value is not None) for pairs in told]
+    settings_of = ([(key, settings.value(cell, key)) for key in keys] for cell in cells)
+    return [" ".join(f"{key}={value}" for key, value in pairs if value is not None) for pairs in settings_of]
 
 
 class _Settings:
@@ -203,12 +203,12 @@ class _Settings:
 
     def value(self, cell: Cell, key: str) -> str | None:
         """The value of a key in a cell; None where it has none."""
-        given = dict(text.split("=", 1) for text in cell.overrides)
+        stated = dict(text.split("=", 1) for text in cell.overrides)
         group, _, name = key.partition(".")
         if name == OPTION:
-            option = given.get(group)
+            option = stated.get(group)
             return None if option == getattr(getattr(cell.config, group, None), "name", None) else option
-        text = given.get(key)
+        text = stated.get(key)
         value = None if f"{key}={text}" in cell.refused else self.of(cell, group).get(key)
         return canonical_text(read_value(text)) if value is None and text is not None else value
 

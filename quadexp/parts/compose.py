@@ -18,7 +18,7 @@ from quadexp.errors import UsageError
 from quadexp.messages import ending_in, suggestion
 from quadexp.names import SPELLINGS, is_name
 from quadexp.parts.cells import Cell as Cell
-from quadexp.parts.cells import Cells, Grid, refuse_mistakes
+from quadexp.parts.cells import Cells, Grid, iterate_validated
 from quadexp.parts.models import GROUP, check_named, kind_of, spelled
 from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, Folders, OptionFiles, given_folders, merge, nested
 from quadexp.parts.override import GROUPS, ITEM, MOST_CELLS, Override, OverrideReader, alternatives, in_grammar
@@ -135,15 +135,15 @@ class Composer:
     def expand(self, overrides: Sequence[str] = (), *, check: bool = True) -> Cells:
         """Every combination of a sweep: the values on the command line, over those of the experiment's `sweep:`.
 
-        check: compose all of them before any is returned, see `refuse_mistakes`. They are composed again when they are
-        asked for, and a sweep asks for all before it flies the first, so it need not.
+        check: compose all of them before any is returned, see `iterate_validated`. They are composed again when they
+        are asked for, and a sweep asks for all before it flies the first, so it need not.
         """
         cells = Cells([_product(grid) for grid in self._grids(overrides)], self._cell_config)
         if len(cells) > MOST_CELLS:
             raise UsageError(
                 f"{len(cells)} combinations; a sweep has at most {MOST_CELLS}: split it, each part with its own --out"
             )
-        for _ in refuse_mistakes(cells) if check else ():
+        for _ in iterate_validated(cells) if check else ():
             pass
         return cells
 
@@ -154,15 +154,15 @@ class Composer:
     def _grids(self, overrides: Sequence[str]) -> Iterator[list[Override]]:
         """The overrides of every grid: one, or one for each mapping under `sweep:` of the experiments, and for each
         alternative, see override.alternatives."""
-        for given in alternatives(overrides):
-            yield from self._grids_of(self._overrides.read(given, sweep=True))
+        for words in alternatives(overrides):
+            yield from self._grids_of(self._overrides.read(words, sweep=True))
 
     def _grids_of(self, parsed: list[Override]) -> Iterator[list[Override]]:
         experiments = [override for override in parsed if override.key == "experiment"]
         if not experiments:
             yield parsed
             return
-        given = {override.key for override in parsed}
+        stated = {override.key for override in parsed}
         chosen = experiments[-1]
         names = [chosen.text.partition("=")[2]] if chosen.sweep is None else chosen.sweep
         rest = [override for override in parsed if override.key != "experiment"]
@@ -171,7 +171,7 @@ class Composer:
             sweep = self._compose(choice).sweep
             for grid in _written_out(sweep or {}, str(name)):
                 # The mapping's order is kept: what stands first varies slowest.
-                texts = [_as_override(key, value) for key, value in grid.items() if key not in given]
+                texts = [_as_override(key, value) for key, value in grid.items() if key not in stated]
                 yield choice + self._overrides.read(texts, sweep=True) + rest
 
     def _compose(self, parsed: Sequence[Override]) -> Config:
@@ -220,24 +220,24 @@ class Composer:
             self._trees[choice] = {name: self._node(name, layers.get(name, [])) for name in _ROOT}
         return self._trees[choice]
 
-    def _layers(self, given: Mapping[str, Any]) -> dict[str, list[Layer]]:
+    def _layers(self, stated: Mapping[str, Any]) -> dict[str, list[Layer]]:
         """What says something of each node, the first first. An option that is given counts over that of the
         experiment, this over those of bundles, the last first."""
-        experiment = given.get("experiment")
+        experiment = stated.get("experiment")
         chosen_by: dict[str, str] = {}
         of_experiment = self._files.option("experiment", experiment).chosen if experiment else {}
-        options = {**CHOSEN, **of_experiment, **given}
+        options = {**CHOSEN, **of_experiment, **stated}
         for bundle in BUNDLES:
             chosen = self._files.option(bundle, options[bundle]).chosen
             others = [
-                f"{group}={given[group]}" for group, option in chosen.items() if given.get(group, option) != option
+                f"{group}={stated[group]}" for group, option in chosen.items() if stated.get(group, option) != option
             ]
-            if bundle == "remedies" in given and len(others) == len(chosen) > 0:
+            if bundle == "remedies" in stated and len(others) == len(chosen) > 0:
                 raise UsageError(
                     f"{bundle}={options[bundle]}: nothing of it is left beside {' '.join(others)}; give one of them"
                 )
             for group, option in chosen.items():
-                if group not in given and group not in of_experiment:
+                if group not in stated and group not in of_experiment:
                     options[group], chosen_by[group] = option, f"{bundle}={options[bundle]}"
         layers: dict[str, list[Layer]] = {}
         for group in (*CHOSEN, "experiment"):

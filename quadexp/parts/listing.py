@@ -43,7 +43,9 @@ def listed(asked: str = "", conf: Folders = None) -> list[Record]:
         return _keys(files, group, name)
     keys = _all_keys(files)
     if group in (*files.groups, *declared(Config)):  # and what else is called like it
-        its, others = ([one for one in keys if (one["key"].partition(".")[0] == group) == own] for own in (True, False))
+        its, others = (
+            [part for part in keys if (part["key"].partition(".")[0] == group) == is_own] for is_own in (True, False)
+        )
         others = [record for record in others if group in record["key"].partition(".")[2]]
         return _options(files, group) + its + others
     options = [record for name in files.groups for record in _options(files, name)]
@@ -102,10 +104,10 @@ def key_words(group: str | None = None, conf: Folders = None) -> dict[str, list[
     alone; only the classes of its parts are imported. conf: folders of the user's own."""
     files = OptionFiles(given_folders(conf))
     of_groups = [name for name in CLASSES if group in (None, name)]
-    found = [*_walk(Config)]
-    found += [each for name in of_groups for part in files.parts(name).values() for each in _walk(part, f"{name}.")]
+    every_key = [*_walk(Config)]
+    every_key += [each for name in of_groups for part in files.parts(name).values() for each in _walk(part, f"{name}.")]
     keys: dict[str, dict[str, None]] = {}
-    for name, key in found:
+    for name, key in every_key:
         words = _words(key) or (("true", "false") if key.type is bool else ())
         keys.setdefault(name, {}).update(dict.fromkeys(words))
     return {key: list(words) for key, words in sorted(keys.items())}

@@ -39,8 +39,8 @@ def model_part(kind: str) -> Part:
     """The part of a kind, with the settings that its option states, of the class as it is now.
 
     Raises UsageError where there is none."""
-    own = [Path(folder) / GROUP / f"{kind}.yaml" for folder in own_folders()]
-    written = tuple(path.stat().st_mtime_ns for path in own if path.is_file())
+    own_files = [Path(folder) / GROUP / f"{kind}.yaml" for folder in own_folders()]
+    written = tuple(path.stat().st_mtime_ns for path in own_files if path.is_file())
     part = _model_part(kind, own_folders(), (generation(), *written))
     before = generation()
     load(type(part).__module__)  # executed anew where its file has changed
@@ -72,11 +72,11 @@ def check_named(settings: Settings) -> None:
         if not about.setting.options or about.words:
             continue
         value = getattr(settings, name)
-        given = (value,) if isinstance(value, str) else value
-        unknown = [word for word in given if word not in about.setting.also and not _is_shipped_option(word)]
-        if unknown or not given:
+        names = (value,) if isinstance(value, str) else value
+        unknown = [word for word in names if word not in about.setting.also and not _is_shipped_option(word)]
+        if unknown or not names:
             allowed = named_by(about)
-            wrong = [word for word in unknown if word not in allowed] or [] if given else ["[]"]
+            wrong = [word for word in unknown if word not in allowed] or [] if names else ["[]"]
             if wrong:
                 group = about.setting.options
                 said = f"{', '.join(allowed)}, or an own {group}/NAME.yaml in a --conf folder"

@@ -8,12 +8,12 @@ extends what ships. An option is a file GROUP/NAME.yaml:
     defaults: [nominal_mpc, _self_]       # an option extends others of its group
     defaults: [override /wind: gust]      # a bundle, or an experiment, chooses options of other groups
 
-or an entry of a sheet, options/SHEET.yaml, which holds several, by group and option:
+or an entry of an option file, options/SHEET.yaml, which holds several, by group and option:
 
     controller:
       nominal_mpc_tuned: {of: nominal_mpc, position_weight: [28.5, 28.5, 28.5]}
     world:
-      heavy: {meaning: 30 % more mass than believed, actuator: first_order, truth.mass: 1.3}
+      heavy: {meaning: 30 % more mass than assumed, actuator: first_order, truth.mass: 1.3}
 
 `of` names the option that it extends, `meaning` says in words what it is, `provenance` where its values come from; the
 rest is what a file would state. `crazyflie` reads values from an installed package (crazyflies.py). Of a bundle (world,
@@ -43,14 +43,15 @@ from quadexp.errors import UsageError
 from quadexp.messages import MOST_NAMED, ending_in, note
 from quadexp.names import without
 from quadexp.parts.crazyflies import CRAZYFLIE, crazyflie_numbers
+from quadexp.parts.former import group_of
 from quadexp.parts.part import TARGET, Part, part_class
 from quadexp.parts.schema import BUNDLES, CHOSEN, CLASSES, PRESETS, WORLD, conf_folder
 from quadexp.parts.settings import declared
 from quadexp.parts.user_modules import import_from, plugin_folders
 from quadexp.provenance import content_hash
 
-SHEETS = "options"  # folder of the sheets, in a folder of configuration
-NOTHING = "nothing"  # the sheet of the options that do nothing, for each of which `none` stands
+OPTION_FILES = "options"  # folder of the option files, in a folder of configuration
+NOTHING = "nothing"  # the option file of the options that do nothing, for each of which `none` stands
 ABOUT = ("of", "meaning", "provenance")  # keys of an entry that set nothing
 LOOK = "look"  # key of an option that says how it is drawn; its part has no such key
 CITE = "cite"  # key of an option that names its papers: of conf/references.bib, of a folder's own, or in words
@@ -68,9 +69,9 @@ REFERENCES = (
 
 
 class Entry(NamedTuple):
-    """An option of a sheet. content: what a file of its own would state, with `defaults`."""
+    """An option of an option file. content: what a file of its own would state, with `defaults`."""
 
-    sheet: Path
+    option_file: Path
     content: dict[str, Any]
     meaning: str
     provenance: dict[str, Any] | None
@@ -78,7 +79,8 @@ class Entry(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Definition:
-    """Where an option is stated. place: of its folder among the folders. path: its file, or the sheet of the entry."""
+    """Where an option is stated. place: of its folder among the folders. path: its file, or the option file of the
+    entry."""
 
     place: int
     path: Path
@@ -102,11 +104,13 @@ def given_folders(extra: Folders) -> tuple[Path, ...]:
 
     UsageError where one is no folder, or has no option in it."""
     folders = _resolved(extra)
-    for folder, given in folders.items():
+    for folder, folder_name in folders.items():
         if not folder.is_dir():
-            raise UsageError(f"--conf {given}: {'is a file, not a' if folder.is_file() else 'no such'} folder")
-        if {path.parent.name for path in folder.glob("*/*.yaml")}.isdisjoint({*CHOSEN, *CLASSES, "experiment", SHEETS}):
-            raise UsageError(f"--conf {given}: has no options, such as a file controller/NAME.yaml in it")
+            raise UsageError(f"--conf {folder_name}: {'is a file, not a' if folder.is_file() else 'no such'} folder")
+        if {path.parent.name for path in folder.glob("*/*.yaml")}.isdisjoint(
+            {*CHOSEN, *CLASSES, "experiment", OPTION_FILES}
+        ):
+            raise UsageError(f"--conf {folder_name}: has no options, such as a file controller/NAME.yaml in it")
     if folders:
         import_from(*folders)
     return tuple(folders)
@@ -114,26 +118,28 @@ def given_folders(extra: Folders) -> tuple[Path, ...]:
 
 def _resolved(extra: Folders) -> dict[Path, Place]:
     """The folders, each once, with what each is called."""
-    given = [extra] if isinstance(extra, (str, os.PathLike)) else extra or ()
-    return {Path(folder).resolve(): folder for folder in given}
+    stated = [extra] if isinstance(extra, (str, os.PathLike)) else extra or ()
+    return {Path(folder).resolve(): folder for folder in stated}
 
 
 def groups(extra: Folders = None) -> dict[str, list[str]]:
-    """Configuration groups and their options: a listing of the folders and of the sheets."""
+    """Configuration groups and their options: a listing of the folders and of the option files."""
     return OptionFiles(extra).groups
 
 
 class OptionFiles:
     """folders: in the order in which an option is looked for. definitions: of every option, such as "plant/ideal", the
-    one that counts first. groups: the options of every group. entries: the options that stand in sheets."""
+    one that counts first. groups: the options of every group. entries: the options that stand in option files."""
 
     def __init__(self, extra: Folders = None) -> None:
         self.folders = [*_resolved([*_resolved(extra), *plugin_folders().values(), conf_folder()])]
         self.definitions: dict[str, list[Definition]] = {}
         for place, folder in enumerate(self.folders):
-            files = (path for path in folder.glob("*/*.yaml") if path.is_file() and path.parent.name != SHEETS)
-            stated: list[tuple[str, Path, Entry | None]] = [(f"{p.parent.name}/{p.stem}", p, None) for p in files]
-            stated += [(name, entry.sheet, entry) for name, entry in entries(folder).items()]
+            files = (path for path in folder.glob("*/*.yaml") if path.is_file() and path.parent.name != OPTION_FILES)
+            stated: list[tuple[str, Path, Entry | None]] = [
+                (f"{group_of(p.parent.name)}/{p.stem}", p, None) for p in files
+            ]
+            stated += [(name, entry.option_file, entry) for name, entry in entries(folder).items()]
             for name, path, entry in stated:
                 self.definitions.setdefault(name, []).append(Definition(place, path, entry))
         self.entries = {name: first.entry for name, (first, *_) in self.definitions.items() if first.entry}
@@ -153,7 +159,7 @@ class OptionFiles:
         if option in options or option != "none":
             return option if option in options else None
         stated = ((name, each.path) for name in options for each in self.definitions[f"{group}/{name}"])
-        return next((name for name, path in stated if path.match(f"{SHEETS}/{NOTHING}.yaml")), None)
+        return next((name for name, path in stated if path.match(f"{OPTION_FILES}/{NOTHING}.yaml")), None)
 
     def note_covered(self, group: str, option: str) -> None:
         """Say once where an option comes before another one of its name."""
@@ -164,7 +170,7 @@ class OptionFiles:
             note(f"{group}={option}: {first.path} covers {covered}")
 
     def meaning(self, group: str, option: str) -> str:
-        """What an option is, in words: as its sheet says, or the comment at the head of its file."""
+        """What an option is, in words: as its option file says, or the comment at the head of its file."""
         first = self.definitions[f"{group}/{option}"][0]
         if first.entry:
             return first.entry.meaning
@@ -209,7 +215,7 @@ class OptionFiles:
         """extending: the options that led here."""
         definition, content = self.read(group, name, extending)
         path = definition.path
-        stated = {str(key): value for key, value in content.items() if key != "defaults"}
+        stated = {group_of(str(key)): value for key, value in content.items() if key != "defaults"}
         defaults = content.get("defaults") or []
         values: dict[str, Any] = {}
         chosen, inherited = dict[str, str](), dict[str, str]()
@@ -233,7 +239,7 @@ class OptionFiles:
         """Options that an entry of `defaults` chooses, such as `override /wind: gust`."""
         choices = {}
         for key, option in entry.items():
-            group = str(key).removeprefix("override ").strip().lstrip("/")
+            group = group_of(str(key).removeprefix("override ").strip().lstrip("/"))
             if group not in CHOSEN:
                 raise UsageError(f"{path}: defaults: {key}: must be `override /GROUP`, of {', '.join(CHOSEN)}")
             name = self.named(group, option)
@@ -248,7 +254,7 @@ class OptionFiles:
         return part_class(group, str(target)) if target and group in CLASSES else None
 
     def parts(self, group: str) -> dict[str, type[Part]]:
-        """The classes of a group's parts, by option; one whose file is wrong is left out: who takes it is told."""
+        """The classes of a group's parts, by option; one whose file is wrong is left out: who takes it is given."""
         parts: dict[str, type[Part]] = {}
         for option in self.options(group):
             with contextlib.suppress(UsageError):
@@ -292,33 +298,35 @@ def units(group: str) -> dict[str, str]:
 
 # ------------------------------------------------------------------------------------------------------------ sheets
 def entries(folder: Path) -> dict[str, Entry]:
-    """Name, such as "world/heavy" -> option, of all sheets in a folder of configuration.
+    """Name, such as "world/heavy" -> option, of all option files in a folder of configuration.
 
-    Raises UsageError where a sheet is not of the form above, or two state the same option.
+    Raises UsageError where an option file is not of the form above, or two state the same option.
     """
     options: dict[str, Entry] = {}
-    for sheet in sorted((folder / SHEETS).glob("*.yaml")):
-        for name, entry in _entries_of(sheet, content_hash(sheet)).items():
+    for option_file in sorted((folder / OPTION_FILES).glob("*.yaml")):
+        for name, entry in _entries_of(option_file, content_hash(option_file)).items():
             if name in options:
-                raise UsageError(f"{sheet}: {name}: stands in {options[name].sheet.name} too")
+                raise UsageError(f"{option_file}: {name}: stands in {options[name].option_file.name} too")
             options[name] = entry
     return options
 
 
 @functools.cache
-def _entries_of(sheet: Path, hashed: str) -> dict[str, Entry]:
+def _entries_of(option_file: Path, hashed: str) -> dict[str, Entry]:
     options: dict[str, Entry] = {}
     groups = (*CLASSES, *PRESETS, *BUNDLES)
-    for group, stated in read_mapping(sheet).items():
+    for group, stated in read_mapping(option_file).items():
         if group not in groups or not isinstance(stated, Mapping):
-            raise UsageError(f"{sheet}: {group}: must be a group that holds options; groups are {', '.join(groups)}")
+            raise UsageError(
+                f"{option_file}: {group}: must be a group that holds options; groups are {', '.join(groups)}"
+            )
         for option, values in stated.items():
             if not isinstance(values, Mapping):
-                raise UsageError(f"{sheet}: {group}: {option}: must hold keys and values")
+                raise UsageError(f"{option_file}: {group}: {option}: must hold keys and values")
             extended, meaning, provenance = (values.get(word) for word in ABOUT)
             settings = {str(key): value for key, value in values.items() if key not in ABOUT}
             for name, content in _contents(group, str(option), settings, extended).items():
-                options[name] = Entry(sheet, content, " ".join(str(meaning or "").split()), provenance)
+                options[name] = Entry(option_file, content, " ".join(str(meaning or "").split()), provenance)
     return options
 
 
@@ -413,15 +421,15 @@ def _spelling(plain: Any) -> Any:
         value = getattr(loader, f"construct_yaml_{node.tag.rpartition(':')[2]}")(node)
         if str(value) == node.value or not math.isfinite(value):
             return value
-        made = (_Whole if isinstance(value, int) else _Real)(value)
-        made.spelling = node.value
-        return made
+        number_value = (_Whole if isinstance(value, int) else _Real)(value)
+        number_value.spelling = node.value
+        return number_value
 
     def word(loader: Any, node: Any) -> Any:
         return {"true": True, "false": False}.get(node.value.lower(), node.value)
 
-    for tag, made in (("int", number), ("float", number), ("bool", word), ("timestamp", word)):
-        Loader.add_constructor(f"tag:yaml.org,2002:{tag}", made)
+    for tag, constructor in (("int", number), ("float", number), ("bool", word), ("timestamp", word)):
+        Loader.add_constructor(f"tag:yaml.org,2002:{tag}", constructor)
     return Loader
 
 

@@ -1,6 +1,6 @@
 """Overrides, KEY=VALUE: read and checked. Is it a key of this program, is there such an option.
 
-They have Hydra's grammar. Its parser takes as long to import as all the rest of a plain command (.16 s of processor
+They have Hydra's grammar. Its parser takes as long to import as all the rest of a plain command (0.16 s of processor
 time), so a number, a word, a path, a list of them, several with commas between and range(a, b) are read here, with the
 same result.
 """
@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, get_args, get_origin
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
+from quadexp.parts.former import setting
 from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import CHOSEN, CLASSES, Config
 from quadexp.parts.settings import find
@@ -54,25 +55,25 @@ class Override(NamedTuple):
 def alternatives(overrides: Sequence[str]) -> list[list[str]]:
     """Overrides for each of several options, some of which bring settings of their own.
 
-    `controller=pid,dfbc inner=indi` stands for controller=pid, and for controller=dfbc with inner=indi. What they bring
-    cannot be given beside them too."""
-    for i, text in enumerate(overrides):
+    `controller=pid,dfbc rate_loop=indi` stands for controller=pid, and for controller=dfbc with rate_loop=indi. What
+    they bring cannot be given beside them too."""
+    for i, text in enumerate(map(setting, overrides)):
         key, _, value = text.partition("=")
         if key not in GROUPS or not _BROUGHT.search(value):
             continue
         rest = [*overrides[:i], *overrides[i + 1 :]]
-        given = {other.partition("=")[0] for other in rest}
-        found = list[list[str]]()
+        stated = {other.partition("=")[0] for other in rest}
+        combinations = list[list[str]]()
         for item in ITEMS.findall(value):
             try:
                 option, *brought = shlex.split(item)
             except ValueError as error:
                 raise UsageError(f"{text!r}: {item!r} cannot be read: {str(error).lower()}") from None
-            twice = [word for word in brought if word.partition("=")[0] in given]
+            twice = [word for word in brought if word.partition("=")[0] in stated]
             if twice:
                 raise UsageError(f"{text!r}: {twice[0].partition('=')[0]} is given beside it too: give it in one place")
-            found += alternatives([*rest, f"{key}={option}", *brought])
-        return found
+            combinations += alternatives([*rest, f"{key}={option}", *brought])
+        return combinations
     return [list(overrides)]
 
 
@@ -85,7 +86,7 @@ class OverrideReader:
 
     def read(self, overrides: Sequence[str], *, sweep: bool = False) -> list[Override]:
         """The overrides; UsageError where one cannot be read, or has several values outside a sweep."""
-        return [self._known.get(text) or self._read(text, sweep) for text in overrides]
+        return [self._known.get(text) or self._read(setting(text), sweep) for text in overrides]
 
     def _read(self, text: str, sweep: bool) -> Override:
         key, equals, value = text.partition("=")

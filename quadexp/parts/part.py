@@ -26,7 +26,7 @@ from typing import Any, ClassVar, Self
 from quadexp.errors import ModuleError, UsageError
 from quadexp.messages import suggestion
 from quadexp.names import without
-from quadexp.parts.sensor_sheet import SensorSheet
+from quadexp.parts.former import names_of
 from quadexp.parts.settings import Name, Settings, keyed, record
 from quadexp.parts.user_modules import OWN, generation, import_from, lies_outside, load, own_folders
 
@@ -113,7 +113,7 @@ def _restored(packed: bytes, folders: tuple[str, ...]) -> Any:
     return _part_of(packed, generation())
 
 
-@functools.lru_cache(1024)  # a worker is told the same parts with many cells
+@functools.lru_cache(1024)  # a worker is given the same parts with many cells
 def _part_of(packed: bytes, generation: int) -> Any:
     module, name, attributes = pickle.loads(packed)
     kind: Any = functools.reduce(getattr, name.split("."), load(module))
@@ -172,25 +172,4 @@ def imported(key: str, target: str) -> Any:
     return named
 
 
-@keyed
-class Given:
-    """What a part that is built is handed, as far as it is made before.
-
-    vehicle: that the part is for: the flown one for a plant, the believed one for a controller. believed: that which
-    controllers believe in. plant: that is flown. sheet: what is stated of its sensors, see sensor_sheet.py.
-    remedies: parts around a controller, the nearest first.
-    residual(kind): the model of the air of that kind, or the sum of several kinds. residuals(kinds): each by itself, of
-    kinds with checkpoints. checkpoint(i): the i-th fitted model. folder: that `model` names, "" for none.
-    plant_model(path, kind): a checkpoint that is taken as the truth.
-    """
-
-    vehicle: Any
-    believed: Any = None
-    plant: Any = None
-    sheet: SensorSheet = SensorSheet()
-    remedies: tuple[Any, ...] = ()
-    residual: Any = None
-    residuals: Any = None
-    checkpoint: Any = None
-    folder: str = ""
-    plant_model: Any = None
+__getattr__ = names_of(__name__)

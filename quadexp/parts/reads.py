@@ -47,21 +47,22 @@ def is_read(key: str, command: str) -> bool:
     return any(f"{key}.".startswith(f"{word}.") for word in READS[command].split())
 
 
-def refuse_unread(command: str, given: str, keys: Iterable[str]) -> None:
-    """UsageError where other commands read what an override sets, and this one reads none of it. given: its text."""
+def refuse_unread(command: str, override: str, keys: Iterable[str]) -> None:
+    """UsageError where other commands read what an override sets, and this one reads none of it. override: its text."""
     readers = distinct(other for key in keys for other in READS if is_read(key, other))
     if not readers or command in readers:
         return
     advice = "add --sweep" if f"{command} --sweep" in readers else f"it is for {', '.join(readers)}"
-    raise UsageError(f"{given}: is not used by {command}; {advice}")
+    raise UsageError(f"{override}: is not used by {command}; {advice}")
 
 
-def refuse_idle(config: Config, key: str, given: str) -> None:
-    """UsageError where a key has no effect with the other settings of its part (Setting.when). given: its override."""
-    refuse_without_effect(getattr(config, key.partition(".")[0]), key, given)
+def refuse_idle(config: Config, key: str, override: str) -> None:
+    """UsageError where a key has no effect with the other settings of its part (Setting.when). override: its
+    override."""
+    refuse_without_effect(getattr(config, key.partition(".")[0]), key, override)
 
 
-def refuse_without_effect(part: Any, key: str, given: str) -> None:
+def refuse_without_effect(part: Any, key: str, override: str) -> None:
     """The same for a key of a part."""
     _, _, name = key.partition(".")
     about = find(type(part), name) if name else None
@@ -71,4 +72,4 @@ def refuse_without_effect(part: Any, key: str, given: str) -> None:
     other, _, wanted = about.setting.when.partition("=")
     value = getattr(reduce(getattr, above.split(".") if above else [], part), other)
     if shown(value) != wanted if wanted else not value:
-        raise UsageError(f"{given}: has no effect with {key.rpartition('.')[0]}.{other}={shown(value)}")
+        raise UsageError(f"{override}: has no effect with {key.rpartition('.')[0]}.{other}={shown(value)}")

@@ -11,6 +11,7 @@ from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.parts.compose import Composer
+from quadexp.parts.former import now
 from quadexp.parts.override import in_grammar
 from quadexp.parts.part import Part
 from quadexp.parts.schema import BUNDLES, PARTS, PRESETS
@@ -40,7 +41,7 @@ def recorded_words(
         if f"timing.{name}" in options:  # it counts for what was recorded of each part
             options |= dict.fromkeys(told_keys(name), "")
     words: list[str] = []
-    for key, value in record.items():
+    for key, value in now(dict(record)).items():
         if key in options or value is None:
             continue
         if key in PARTS:

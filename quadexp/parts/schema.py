@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.errors import UsageError
+from quadexp.parts.former import GROUPS
 from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, Settings, key, keyed
 
@@ -59,7 +60,7 @@ class Config(Settings):
     controller: Any
     observer: Any
     adaptive: Any
-    inner: Any
+    rate_loop: Any
     delay: Any
     timing: Any
     collect: Any
@@ -88,7 +89,12 @@ CHOSEN: dict[str, str] = dict(
 WORLD = (
     "truth", "payload", "wind", "external", "link", "actuator", "battery", "health", "ground", "sensor", "estimator",
 )  # fmt: skip
-REMEDIES = ("observer", "adaptive", "inner", "delay")  # around a controller, the nearest first; quadexp/control/part.py
+REMEDIES = (
+    "observer",
+    "adaptive",
+    "rate_loop",
+    "delay",
+)  # around a controller, the nearest first; quadexp/control/part.py
 # Groups whose options choose those of several others, and set values of theirs.
 BUNDLES = {"world": WORLD, "remedies": REMEDIES}
 # Groups of presets, and the group whose values their options set.
@@ -101,7 +107,7 @@ def of_contestant(key: str) -> bool:
     """Whether a key belongs to who flies, not to what is flown: flights that differ in it have the same noise.
 
     "results" is the folder that a flight of several results comes from."""
-    group = key.partition(".")[0]
+    group = GROUPS.get(key.partition(".")[0], key.partition(".")[0])
     return PRESETS.get(group, group) in ("controller", "model", "timing", "remedies", *REMEDIES, "results")
 
 

@@ -66,7 +66,7 @@ class Setting:
     options: of a text or a list, the group whose options it names, or one of the words `also` (parts/models.py).
 
     when: of its part, the key (KEY, which must not be 0, or KEY=VALUE) without which it has no effect.
-    tuned: what `quadexp tune` varies of it unless told otherwise: LOW..HIGH, LOW..HIGH:log, or .PART=LOW..HIGH of
+    tuned: what `quadexp tune` varies of it unless set otherwise: LOW..HIGH, LOW..HIGH:log, or .PART=LOW..HIGH of
     entries of a list or of a key below; several are separated by blanks."""
 
     meaning: str
@@ -84,10 +84,10 @@ class Setting:
 def key(default: Any, meaning: str | Setting, *about: Any, **more: Any) -> Any:
     """A field of a class of settings: its default, REQUIRED for none, and what Setting says of it, or a Setting."""
     setting = meaning if isinstance(meaning, Setting) else Setting(meaning, *about, **more)
-    given = {} if default is REQUIRED else {"default": default}
+    default_value = {} if default is REQUIRED else {"default": default}
     if isinstance(default, dict):
-        given = {"default_factory": default.copy}
-    return field(metadata={"setting": setting}, **given)
+        default_value = {"default_factory": default.copy}
+    return field(metadata={"setting": setting}, **default_value)
 
 
 # Settings that several parts have.
@@ -209,11 +209,11 @@ def made(node: type[S], values: Mapping[str, Any], prefix: str | None = None) ->
         raise UsageError(f"{lacking[0]}: has no value; give {lacking[0]}=VALUE")
     if lacking:
         raise UsageError(f"{', '.join(lacking)}: have no value; give each as KEY=VALUE, or in the option's file")
-    given = dict(values)
+    stated = dict(values)
     for name, key in declared(node).items():
-        if key.node and isinstance(given.get(name), Mapping):
-            given[name] = made(key.node, given[name])
-    return node(**given)
+        if key.node and isinstance(stated.get(name), Mapping):
+            stated[name] = made(key.node, stated[name])
+    return node(**stated)
 
 
 def _lacking(node: type, values: Mapping[str, Any], prefix: str) -> list[str]:

@@ -1,11 +1,11 @@
-"""What a controller and the parts around it are told of delays, in one place: the group `timing=`.
+"""What a controller and the parts around it are given delays, in one place: the group `timing=`.
 
     age          of the measured state                 delay.time
     dead_time    from a command to its thrust          controller, observer, adaptive, inner, delay: .dead_time
     motor_lag    of the thrust behind its command      likewise .motor_lag; of an MPC as `motor=` says:
                                                        states .motor_lag, lead .motor_lead, dead_time .dead_time
 
-A part that asks its controller (null) is told by it. What is set on a part itself counts over what is told here.
+A part that asks its controller (null) is given by it. What is set on a part itself counts over what is given here.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from quadexp.parts.part import Part
 from quadexp.parts.schema import Config
 from quadexp.parts.settings import declared, key, keyed
 
-PARTS = ("controller", "observer", "adaptive", "inner", "delay")  # that may be told, the controller first
+PARTS = ("controller", "observer", "adaptive", "inner", "delay")  # that may be given, the controller first
 TIMES = ("age", "dead_time", "motor_lag")
 
 
@@ -29,10 +29,10 @@ class Timing(Part):
 
     prefix = "timing."
 
-    age: float | None = key(None, "of the measured state; null: not told", "[0, 0.5]", "s")
-    dead_time: float | None = key(None, "from a command to its thrust; null: not told", "[0, 0.5]", "s")
+    age: float | None = key(None, "of the measured state; null: not given", "[0, 0.5]", "s")
+    dead_time: float | None = key(None, "from a command to its thrust; null: not given", "[0, 0.5]", "s")
     motor_lag: float | None = key(
-        None, "time constant of the thrust behind its command; null: not told", "[0, 0.5]", "s"
+        None, "time constant of the thrust behind its command; null: not given", "[0, 0.5]", "s"
     )
 
 
@@ -43,7 +43,7 @@ def told_keys(name: str) -> list[str]:
 
 
 def told(config: Config, given: Collection[str], motor: str) -> Config:
-    """The configuration with its parts told what `timing` holds.
+    """The configuration with its parts given what `timing` holds.
 
     given: keys that were set by themselves. motor: the option of the group of this name.
     Raises UsageError for one of its keys that was set and that no part of the configuration takes.

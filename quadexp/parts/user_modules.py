@@ -97,15 +97,15 @@ def locate(name: str) -> Path | None:
     Raises UsageError where two --conf folders have other modules of that name."""
     top = name.partition(".")[0]
     plugin = _plugin_places().get(top)
-    found = []
+    places = []
     for folder in [plugin] if plugin else _folders:
         base = folder.joinpath(*name.split("."))
         files = [base / "__init__.py", *(base.with_name(base.name + suffix) for suffix in (".py", *EXTENSION_SUFFIXES))]
-        found.append(next(filter(Path.is_file, files), base))
-    found = sorted(filter(Path.exists, found), key=Path.is_dir)
-    if not found or (plugin is None and _taken(top)):
+        places.append(next(filter(Path.is_file, files), base))
+    places = sorted(filter(Path.exists, places), key=Path.is_dir)
+    if not places or (plugin is None and _taken(top)):
         return None
-    first, *others = (path for path in found if path.is_file() == found[0].is_file())
+    first, *others = (path for path in places if path.is_file() == places[0].is_file())
     if first.is_file() and (other := next((o for o in others if content_hash(o) != content_hash(first)), None)):
         raise UsageError(f"the name {name} stands for {first} and for {other}: give one of these modules another one")
     return first

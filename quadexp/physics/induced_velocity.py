@@ -133,12 +133,12 @@ def root_is_unique(equation: Balance, induced: Expression) -> Expression:
     """
     scale = ca.sqrt(2 * equation.in_plane_squared)  # zero makes the inflection NaN, but then V_I > V_z
     inflection = equation.axial - scale * ca.sinh(ca.asinh(equation.axial / scale) / 3)
-    left, right = ca.SX(0), inflection  # V_I < V_z only with V_z > 0, and then all roots are positive
+    lower, upper = ca.SX(0), inflection  # V_I < V_z only with V_z > 0, and then all roots are positive
     for _ in range(SAFE_ITERATIONS):
-        middle = (left + right) / 2
+        middle = (lower + upper) / 2
         rising = equation.slope(middle) > 0
-        left, right = ca.if_else(rising, middle, left), ca.if_else(rising, right, middle)
-    alone = ca.logic_or(induced < inflection, equation.value(left) < 0)
+        lower, upper = ca.if_else(rising, middle, lower), ca.if_else(rising, upper, middle)
+    alone = ca.logic_or(induced < inflection, equation.value(lower) < 0)
     return ca.logic_or(induced >= equation.axial, alone)
 
 

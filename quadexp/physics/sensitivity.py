@@ -97,10 +97,10 @@ def rk4_sensitivity_function(
         if added:
             delivered = delivered + plus[:, column]
         x_stage, z = as_scalars(_stage_point)(x, delivered, slopes[-1], c)
-        given = [x_stage, delivered, *residual.function(z, theta), sensitivities[-1], c, *share]
+        arguments = [x_stage, delivered, *residual.function(z, theta), sensitivities[-1], c, *share]
         if compact and len(slopes) == 1:
-            stage = _one_stage_function(chained_stage, given)
-        k, S = stage(*given)
+            stage = _one_stage_function(chained_stage, arguments)
+        k, S = stage(*arguments)
         slopes.append(pushed(k))
         sensitivities.append(S)
     outputs = combine(x, dt, *slopes, *sensitivities)
@@ -114,12 +114,12 @@ def rk4_sensitivity_function(
     return named_function("node", inputs, named(("x_next", "A", "B"), outputs))
 
 
-def _one_stage_function(chained_stage: Callable[..., Expression], given: list[Expression]) -> ca.Function:
+def _one_stage_function(chained_stage: Callable[..., Expression], inputs: list[Expression]) -> ca.Function:
     """A stage as one function for all of them: of S only those zeros are left out that no stage fills.
 
-    given: arguments of the first stage that is chained, S the fifth of them.
+    inputs: arguments of the first stage that is chained, S the fifth of them.
     """
-    patterns = [argument.sparsity() for argument in given]
+    patterns = [argument.sparsity() for argument in inputs]
     while True:
         arguments = [ca.SX.sym(f"a{i}", pattern) for i, pattern in enumerate(patterns)]
         k, S = chained_stage(*arguments)

@@ -17,7 +17,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 
 MANTISSA, LARGEST_EXPONENT = 512, 7  # of 9 bits and of 3 bits, as in the format
-SLOWEST = 1.0  # rad/s, that is told of everything slower
+SLOWEST = 1.0  # rad/s, that is given everything slower
 MICROSECOND = 1e-6  # s
 
 

@@ -150,8 +150,8 @@ class Vehicle(Part):
     @cached_property
     def fingerprint(self) -> str:
         """Short hash of all physical parameters, without the name: vehicles with equal fingerprints fly identically."""
-        given = {key: value for key, value in asdict(self).items() if key != "name" and value is not None}
-        physics = {FORMER_NAMES.get(key, key): value for key, value in given.items()}
+        stated = {key: value for key, value in asdict(self).items() if key != "name" and value is not None}
+        physics = {FORMER_NAMES.get(key, key): value for key, value in stated.items()}
         return sha256_of(json.dumps(physics, sort_keys=True))[:12]
 
     @property

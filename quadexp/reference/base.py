@@ -133,12 +133,12 @@ def check_own(trajectory: Trajectory, name: str) -> None:
         if not number or value < 0 or (what == "duration" and value == 0):
             raise UsageError(f"{said}{what} is {str(value)[:40]}; a positive number is needed")
     times = np.linspace(0.0, trajectory.duration, 3)
-    found = trajectory.flat_output(times)
-    if not isinstance(found, FlatOutput):
-        raise UsageError(f"{said}flat_output must give a FlatOutput, not {type(found).__name__}")
+    flat = trajectory.flat_output(times)
+    if not isinstance(flat, FlatOutput):
+        raise UsageError(f"{said}flat_output must give a FlatOutput, not {type(flat).__name__}")
     needed = {"position": (3, N_DERIVATIVES, 3), "yaw": (3, 3)}
     for what, shape in needed.items():
-        array = getattr(found, what)
+        array = getattr(flat, what)
         if what == "yaw" and array is None:
             continue
         if np.shape(array) != shape:

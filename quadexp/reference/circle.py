@@ -17,7 +17,7 @@ from quadexp.reference.profile import OVERSHOOT, ProfiledPath
 class Circle(ProfiledPath):
     """Circle about the world's z axis, started at (radius, 0, height), counter-clockwise seen from above.
 
-    The peak speed is v + .273 a. Arguments: see ProfiledPath.
+    The peak speed is v + 0.273 a. Arguments: see ProfiledPath.
     """
 
     former_kind = "circle"

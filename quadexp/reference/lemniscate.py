@@ -22,7 +22,7 @@ from quadexp.reference.profile import ProfiledPath
 class Lemniscate(ProfiledPath):
     """Figure eight along the world's x axis, started at (radius, 0, height).
 
-    The peak speed is up to sqrt(2) (v + .273 a), see peak_speed. Arguments: see ProfiledPath.
+    The peak speed is up to sqrt(2) (v + 0.273 a), see peak_speed. Arguments: see ProfiledPath.
     """
 
     former_kind = "lemniscate"

@@ -42,10 +42,10 @@ class Symbols(np.ndarray):
         into[0][...] = result
         return into[0]
 
-    def __array_function__(self, function: Callable[..., Any], types: Any, given: Any, options: Any) -> Any:
+    def __array_function__(self, function: Callable[..., Any], types: Any, arguments: Any, options: Any) -> Any:
         if function in _FUNCTIONS:
-            return _symbols(_FUNCTIONS[function](*map(np.asarray, given), **options))
-        return _symbols(super().__array_function__(function, types, given, options))
+            return _symbols(_FUNCTIONS[function](*map(np.asarray, arguments), **options))
+        return _symbols(super().__array_function__(function, types, arguments, options))
 
 
 def _element(function: Callable[..., Any], inputs: int) -> np.ufunc:
@@ -156,15 +156,17 @@ def compiled_steps(vehicle: Vehicle, residual: ca.Function, free_heading: bool) 
     last = ca.Function("last", [row, chi, ca.vertcat(*parts)], [ca.cse(_vector([*predicted, *after]))])
     middle = ca.Function("middle", [row, chi], [ca.cse(features[0])])
 
-    given, theta, share = symbols(ca.MX, row=N_DEMAND + N_AIR + 1, theta=residual.size1_in(1), share=1)
-    split = [given[:-1], given[-1]]
+    arguments, theta, share = symbols(ca.MX, row=N_DEMAND + N_AIR + 1, theta=residual.size1_in(1), share=1)
+    split = [arguments[:-1], arguments[-1]]
     response = share * outputs_and_gradients(residual, middle(*split), theta)
     functions = [
         ca.Function("air_first", [ca.vertcat(row, chi)], [ca.cse(first)], ["row"], ["first"]),
-        ca.Function("air_step", [given, theta, share], [last(*split, response)], ["row", "theta", "share"], ["step"]),
+        ca.Function(
+            "air_step", [arguments, theta, share], [last(*split, response)], ["row", "theta", "share"], ["step"]
+        ),
     ]
-    one, two = realise_together(functions, "compiled")
-    return one, two
+    first_step, second_step = realise_together(functions, "compiled")
+    return first_step, second_step
 
 
 def _vector(values: Any) -> ca.SX:

@@ -61,8 +61,8 @@ def _rooms(table: Table, width: float) -> list[float]:
         widest = max(map(text_width, column), default=0.0)
         rooms.append(max(widest, *map(text_width, _broken(heading, max(widest, LEAST_HEADING)))))
     n = table.beside
-    left = min(0.6 * width, width - max(rooms[n:], default=0.0)) - n * GAP
-    while sum(rooms[:n]) > left and max(rooms[:n]) > LEAST_HEADING:
+    remaining = min(0.6 * width, width - max(rooms[n:], default=0.0)) - n * GAP
+    while sum(rooms[:n]) > remaining and max(rooms[:n]) > LEAST_HEADING:
         widest_label = rooms.index(max(rooms[:n]))
         rooms[widest_label] *= 0.95
     for i in range(n):
@@ -74,14 +74,14 @@ def _rooms(table: Table, width: float) -> list[float]:
 def tabulars(table: Table, width: float) -> list[list[int]]:
     """The columns of each tabular: as many as fit beside the labels."""
     rooms, n = _rooms(table, width), table.beside
-    found: list[list[int]] = []
+    places: list[list[int]] = []
     for i in range(n, len(rooms)):
-        together = [*range(n), *(found[-1][n:] if found else ()), i]
-        if found and sum(rooms[k] for k in together) + GAP * (len(together) - 1) <= width:
-            found[-1] = together
+        together = [*range(n), *(places[-1][n:] if places else ()), i]
+        if places and sum(rooms[k] for k in together) + GAP * (len(together) - 1) <= width:
+            places[-1] = together
         else:
-            found.append([*range(n), i])
-    return found or [[*range(n)]]
+            places.append([*range(n), i])
+    return places or [[*range(n)]]
 
 
 def fitted_latex(table: Table, width: float) -> str:

@@ -8,9 +8,9 @@ With n values x_i, mean m, standard deviation s, confidence 1 - alpha, and paire
     share      q of Beta at alpha / 2 and 1 - alpha / 2                (Clopper & Pearson 1934, Biometrika 26(4))
     effect     (R- - R+) / (R- + R+), R the rank sums of |d_i| by sign of d_i    (Kerby 2014, Compr. Psychol. 3)
 
-One test decides what is told apart, everywhere. d_li is the difference of two contestants at seed i in line l of a
-table (or over several lines), g a pattern of n signs, all 2^n of them for n <= 14, otherwise PATTERNS drawn ones with
-the flown one among them (Hemerik & Goeman 2018, TEST 27):
+One test decides what is significantly different, everywhere. d_li is the difference of two contestants at seed i in
+line l of a table (or over several lines), g a pattern of n signs, all 2^n of them for n <= 14, otherwise PATTERNS drawn
+ones with the flown one among them (Hemerik & Goeman 2018, TEST 27):
 
     p_l        share of the g with |sum_i g_i d_li| >= |sum_i d_li|    (Fisher 1935, Design of Experiments; Pitman 1937)
     joint_l    share of the g whose least c_k p_k over all k is at most c_l p_l  (Westfall & Young 1993, minimum p),

@@ -130,7 +130,7 @@ def _reference_residual(rows: Sequence[Row]) -> str:
 
 
 def _unknown_world(rows: Sequence[Row]) -> str:
-    """Worlds of which a controller that is told the plant's equations knows nothing."""
+    """Worlds of which a controller that is given the plant's equations knows nothing."""
     worlds = sorted({row["plant"].partition("/")[2] for row in rows if is_bound(row["controller"])} - {""})
     return f"knows the plant's equations, and nothing of the world around it ({'; '.join(worlds)})" if worlds else ""
 

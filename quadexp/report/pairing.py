@@ -9,7 +9,8 @@
     common      the flights (condition, seed) that all compared contestants completed, made whole; as long as there are
                 none, the contestants with the smallest k are removed from the comparison
     pair        two flights of one condition and seed, which both completed, whoever else did: they have the same noise
-    unit        a seed. Conditions that differ only in the world, the grid of a controller or a remedy share every gust
+    unit        a seed. Conditions that differ only in the world, the grid of a controller or a compensation share every
+    gust
                 of a seed, so that their flights are no sample: the value of a seed is its mean over the conditions, and
                 intervals, p and counts are over the seeds. So they are for conditions with noise of their own (another
                 path, speed, plant or vehicle), whose mean is then less uncertain; these are chosen, not drawn: one seed

@@ -1,4 +1,5 @@
-"""Who is told apart from whom: the one test behind every mark, p-value, "best" and "cannot tell" of a table.
+"""Who is significantly different from whom: the one test behind every mark, p-value, "best" and "cannot tell" of a
+table.
 
     d_ci       ln of the error of one contestant over that of another, in condition c at seed i, of the flights that
                this pair completed, whoever else did
@@ -8,8 +9,8 @@
     p_holm     of a pair with the baseline (without one, with the first who flew), by Holm over these m pairs; of any
                other pair n joint, n = max(m, k - 1) for k contestants
 
-A pair is told apart in a statement where p_holm < alpha. The family are all statements that a table of one metric can
-make: that some contestant differs from the baseline, in any line or over all of them, is said falsely with a
+A pair is significantly different in a statement where p_holm < alpha. The family are all statements that a table of one
+metric can make: that some contestant differs from the baseline, in any line or over all of them, is said falsely with a
 probability of alpha at most. So is that one is the best of k (winner.py), which is looked for after the fact: one of k
 must beat an equal or better one, and there are k that can, with a probability of alpha / (2 n) each. That bound is for
 lines led by the same equals, or by at most n different pairs of equals.
@@ -91,15 +92,15 @@ class Tests:
                 self._kinds.setdefault(statement, kind)
         self._pairs: dict[tuple[Contestant, Contestant], dict[Statement, Difference]] = {}
 
-    def difference(self, one: Contestant, other: Contestant, conditions: Iterable[Condition]) -> Difference:
+    def difference(self, contestant: Contestant, other: Contestant, conditions: Iterable[Condition]) -> Difference:
         """Of one against other in these conditions: a line, all of a plant and vehicle, or all."""
         statement = tuple(conditions)
-        found = self._pair(one, other)[statement]
-        if (pair := frozenset((one, other))) in self._corrected:
+        difference = self._pair(contestant, other)[statement]
+        if (pair := frozenset((contestant, other))) in self._corrected:
             times, p_holm = len(self._corrected), self._corrected[pair][statement]
         else:
-            times, p_holm = self._times, min(self._times * found.joint, 1.0)  # NaN stays
-        return replace(found, p_holm=p_holm, comparisons=times * found.comparisons)
+            times, p_holm = self._times, min(self._times * difference.joint, 1.0)  # NaN stays
+        return replace(difference, p_holm=p_holm, comparisons=times * difference.comparisons)
 
     @cached_property
     def notes(self) -> list[str]:
@@ -113,8 +114,10 @@ class Tests:
             single = f", {line} in a single line" if seeds < whole < line else ""
             return [too_few(seeds, whole, self.confidence, ", so that nothing is bold, * or called best") + single]
         text = (
-            f"bold: the least of its line, told apart from every other there (p < {1 - self.confidence:.2g}), by a"
-            " controller that completed no fewer flights; best: the same over all lines; *: told apart from the"
+            f"bold: the least of its line, significantly different from every other there (p <"
+            f" {1 - self.confidence:.2g}), by a"
+            " controller that completed no fewer flights; best: the same over all lines; *: significantly different"
+            " from the"
             " baseline; p: of all ways to exchange the errors of two controllers, seed by seed, on flights that both"
             " completed, the share in which they differ as clearly as flown, in view of all lines and of"
             f" {count(self._times, 'pair')} (Holm)"
@@ -143,15 +146,15 @@ class Tests:
         corrected = holm(joint).tolist()
         return {frozenset(pair): named(self._kinds, p) for pair, p in zip(tested, corrected, strict=True)}
 
-    def _pair(self, one: Contestant, other: Contestant) -> dict[Statement, Difference]:
+    def _pair(self, contestant: Contestant, other: Contestant) -> dict[Statement, Difference]:
         """Every statement, without p_holm; comparisons: how many there are of its kind."""
-        if (one, other) in self._pairs:
-            return self._pairs[one, other]
+        if (contestant, other) in self._pairs:
+            return self._pairs[contestant, other]
         logs: dict[Condition, dict[int, float]] = {}
         causes: dict[Condition, Counter[str]] = {}
         for condition, flown in self.groups.conditions.items():
-            if one in flown or other in flown:
-                logs[condition], causes[condition] = self._logs(condition, one, other)
+            if contestant in flown or other in flown:
+                logs[condition], causes[condition] = self._logs(condition, contestant, other)
         of_pair = {statement: self._difference(statement, logs, causes) for statement in self._kinds}
         seeds = sorted({int(seed) for of in of_pair.values() for seed in of.seeds})
         table = np.full((len(of_pair), len(seeds)), math.nan)
@@ -163,17 +166,19 @@ class Tests:
         for (statement, of), n, *tests in zip(of_pair.items(), counts, *sign_flips(table, counts), strict=True):
             p, joint, least = map(float, tests)
             of_pair[statement] = replace(of, p=p, joint=joint, least=least / n, comparisons=n)
-        self._pairs[one, other] = of_pair
+        self._pairs[contestant, other] = of_pair
         return of_pair
 
-    def _logs(self, condition: Condition, one: Contestant, other: Contestant) -> tuple[dict[int, float], Counter[str]]:
+    def _logs(
+        self, condition: Condition, contestant: Contestant, other: Contestant
+    ) -> tuple[dict[int, float], Counter[str]]:
         """Seed -> d_ci, and the number of other seeds by cause."""
-        pairs, causes = self.groups.pairs(condition, one, other)
+        pairs, causes = self.groups.pairs(condition, contestant, other)
         logs = {}
         for mine, its in pairs:
-            own, rival = mine.values[self._place], its.values[self._place]
-            if 0 < own < math.inf and 0 < rival < math.inf:
-                logs[mine.seed] = math.log(own / rival)
+            error, rival = mine.values[self._place], its.values[self._place]
+            if 0 < error < math.inf and 0 < rival < math.inf:
+                logs[mine.seed] = math.log(error / rival)
             else:
                 causes["without an error above zero"] += 1
         return logs, causes

@@ -33,7 +33,7 @@ from quadexp.errors import UsageError
 from quadexp.messages import clean, html
 from quadexp.names import distinct
 from quadexp.parts.options import OptionFiles
-from quadexp.progress import doing
+from quadexp.progress import set_status
 from quadexp.report import FORMATS
 from quadexp.writer import check_output, written
 
@@ -316,7 +316,7 @@ def check_path(path: Path, force: bool, suffixes: Sequence[str] = PICTURES) -> P
 
 def save(figure: Figure, path: Path, inside: Path | None = None) -> Path:
     """Write a figure as PNG and SVG; returns the path of the SVG, the last that is written."""
-    doing(f"drawing {path.name}")
+    set_status(f"drawing {path.name}")
     for form in FORMATS[::-1]:
         save_figure(figure, path.with_suffix(f".{form}"), inside=inside)
     return path.with_suffix(".svg")

@@ -124,11 +124,11 @@ class Table:
 
 def marked(cell: str, escaped: Callable[[str], str], best: str = "{}", star: str = "") -> str:
     """A cell in some format. escaped: of that format. best: around the number that is marked. star: of significance."""
-    made, end = "", 0
+    text, end = "", 0
     for mark in _MARKS.finditer(cell):
-        made += escaped(cell[end : mark.start()]) + (best.format(mark[1]) if mark[1] else star)
+        text += escaped(cell[end : mark.start()]) + (best.format(mark[1]) if mark[1] else star)
         end = mark.end()
-    return made + escaped(cell[end:])
+    return text + escaped(cell[end:])
 
 
 def latex_row(cells: Sequence[str]) -> str:
@@ -139,8 +139,8 @@ def records_table(records: Sequence[Mapping[str, Any]]) -> Table:
     """A table of records, a row each: numbers in full precision, nothing for what is missing."""
     names = distinct(name for record in records for name in record)
     rows = [[_exact(record.get(name)) for name in names] for record in records]
-    left = {i for i, name in enumerate(names) if any(isinstance(record.get(name), str) for record in records)}
-    return Table(names, rows, left=frozenset(left))
+    left_columns = {i for i, name in enumerate(names) if any(isinstance(record.get(name), str) for record in records)}
+    return Table(names, rows, left=frozenset(left_columns))
 
 
 def _exact(value: Any) -> str:

@@ -1,8 +1,9 @@
-"""The best contestant: the one with the least error, if it is told apart from every other one.
+"""The best contestant: the one with the least error, if it is significantly different from every other one.
 
     least      of the ranked contestants, who has less error than every other on the flights that these two completed,
                ln x averaged over the conditions and then over the seeds
-    best       told apart from every other (significance.py), and no contestant completed a larger share of its flights
+    best       significantly different from every other (significance.py), and no contestant completed a larger share of
+    its flights
 
 A contestant that completed fewer flights than the least, so few that no test is possible, does not stand in the way
 where it has more error on those that both completed, or none. Bounds (perfect_*, oracle_*) are not ranked.
@@ -72,8 +73,8 @@ def _has_least_mean(
     """Whether the mean itself, which a table shows, is the least too, on the flights of each pair."""
     for other, difference in others.items():
         seeds = frozenset(difference.seeds.tolist())
-        own, its = (groups.values(condition, who, place, seeds) for who in (least, other))
-        if len(own) and not np.mean(own) <= np.mean(its):
+        errors, its = (groups.values(condition, who, place, seeds) for who in (least, other))
+        if len(errors) and not np.mean(errors) <= np.mean(its):
             return False
     return True
 
@@ -87,9 +88,10 @@ class Verdict:
     """The contestant with the least error of one metric on one plant and vehicle, over all conditions. All by label.
 
     where: the plant and vehicle, "" where there is one only. common: number of common flights. least: "" if nobody is
-    compared. against: all other ranked contestants against it, the nearest first. alike: those that are not told apart
-    from it. aside: those that completed too few flights for a test. flew_less: another one completed a larger share of
-    its flights. bound: the first bound that flew, which is not ranked; the least against it. compared: by their means.
+    compared. against: all other ranked contestants against it, the nearest first. alike: those that are not
+    significantly different from it. aside: those that completed too few flights for a test. flew_less: another one
+    completed a larger share of its flights. bound: the first bound that flew, which is not ranked; the least against
+    it. compared: by their means.
     """
 
     where: str
@@ -115,7 +117,7 @@ class Verdict:
 
     @property
     def best(self) -> bool:
-        """Whether `least` is told apart from all others and no contestant flew more."""
+        """Whether `least` is significantly different from all others and no contestant flew more."""
         return self.ways > 1 and not self.alike and not self.flew_less
 
     def text(self) -> str:

@@ -178,8 +178,8 @@ class Workers:
             multiprocessing.current_process().daemon = False  # which might have no children: one of a pool, or a nanny
             with undisturbed():  # processes whose parent ends while they start print long tracebacks
                 start_server([*self._preload, function.__module__])
-                given = self._memory, os.environ.get(PATH), folders
-                self._pool = ProcessPool(max_workers=most, context=context, initializer=begin, initargs=given)
+                surroundings = self._memory, os.environ.get(PATH), folders
+                self._pool = ProcessPool(max_workers=most, context=context, initializer=begin, initargs=surroundings)
                 wait([self._pool.schedule(time.sleep, args=(PAUSE,)) for _ in range(most)], timeout=STARTING)
         return self._pool.schedule(function, args=arguments, timeout=timeout)
 

@@ -11,7 +11,7 @@ from typing import Any
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_effects, build_trajectory, build_vehicle
 from quadexp.experiment.identity import ModelFile, digest, flight_identity
-from quadexp.parts.cells import Cell, Grid, refuse_mistakes, varied
+from quadexp.parts.cells import Cell, Grid, iterate_validated, varied
 from quadexp.parts.schema import world_parts
 from quadexp.report.inference import least_seeds
 from quadexp.sweeps.sweep_table import condition
@@ -47,7 +47,7 @@ def plan_cells(cells: Iterable[Cell]) -> dict[str, Job]:
     """
     jobs: dict[str, Job] = {}
     known: dict[Any, Any] = {}  # parts that cells share are looked at once
-    for cell in refuse_mistakes(cells):
+    for cell in iterate_validated(cells):
         if cell.invalid:
             key = digest([INVALID, *sorted(cell.overrides)])
             jobs.setdefault(key, Job(key, key, cell, None, cell.invalid))
@@ -98,7 +98,7 @@ def cell_key(record: Mapping[str, Any], inputs: Mapping[str, str]) -> str:
 def check_jobs(jobs: Iterable[Job]) -> dict[str, str]:
     """Key -> why the settings of a cell contradict each other, of those where they do, before anything is flown."""
     known: dict[tuple[Any, ...], str] = {}
-    found: dict[str, str] = {}
+    files: dict[str, str] = {}
     for job in jobs:
         config = job.cell.config
         checks = (
@@ -115,8 +115,8 @@ def check_jobs(jobs: Iterable[Job]) -> dict[str, str]:
                 except UsageError as error:
                     known[name] = str(error)
             if known[name]:
-                found.setdefault(job.key, known[name])
-    return found
+                files.setdefault(job.key, known[name])
+    return files
 
 
 def flying_order(jobs: Sequence[Job]) -> list[Job]:

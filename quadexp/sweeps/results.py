@@ -85,7 +85,7 @@ def prune(out: str | Path, filters: Sequence[str] = (), *, remove: bool = False)
         except DataError as error:
             raise UsageError(f"{error}: {others}") from None
     with store.lock() if remove else contextlib.nullcontext():
-        frame, configs = _frame(store, own=True)
+        frame, configs = _frame(store, every_file=True)
         frame = _filtered(frame, filters or [f"{WANTED}=false"])
         keys = [row["key"] for row in frame.rows]
         size = sum(store.path(key).stat().st_size for key in keys)
@@ -96,8 +96,9 @@ def prune(out: str | Path, filters: Sequence[str] = (), *, remove: bool = False)
     return Pruned(frame, size, remove)
 
 
-def _frame(store: CellStore, *, own: bool = False) -> tuple[SweepFrame, dict[str, dict[str, Any]]]:
-    """All cells, and key -> settings of those whose own file was read. own: read every file, and list nothing else."""
+def _frame(store: CellStore, *, every_file: bool = False) -> tuple[SweepFrame, dict[str, dict[str, Any]]]:
+    """All cells, and key -> settings of those whose own file was read. every_file: read every file, and list nothing
+    else."""
     path = store.root / RESULTS
     rows, record = read_rows(path) if path.exists() else ([], {})
     listed, there = {row["key"]: row for row in rows}, store.done()
@@ -105,9 +106,9 @@ def _frame(store: CellStore, *, own: bool = False) -> tuple[SweepFrame, dict[str
         wanted = {*listed, *store.asked()}
     except DataError:  # nobody knows: all
         wanted = {*listed, *there}
-    cells = [] if own else [{**row, WANTED: True} for row in rows]
+    cells = [] if every_file else [{**row, WANTED: True} for row in rows]
     configs: dict[str, dict[str, Any]] = {}
-    for key in sorted(there if own else there - listed.keys()):
+    for key in sorted(there if every_file else there - listed.keys()):
         row = listed.get(key, {})
         try:
             stored = store.record(key)

@@ -86,7 +86,7 @@ def run_sweep(
     isolate: bool = True,
     progress: Progress = lambda done, total: None,
     flown: Callable[[Sequence[Row], Mapping[str, Any]], None] = lambda rows, record: None,
-    landed: Callable[[Row], None] = lambda row: None,
+    on_result: Callable[[Row], None] = lambda row: None,
     function: CellFunction = evaluate_cell,
     conf: Sequence[Path] = (),
 ) -> SweepResult:
@@ -96,8 +96,8 @@ def run_sweep(
     engine: where to fly; None for `workers` processes of this machine (0: one a core). force: fly everything again, and
     replace another sweep's table. old: of cells that are there and were flown by other sources than those that run:
     "refly", "keep", or refuse to go on. isolate: False flies in this process. flown: called with the rows and the
-    record of the results once all cells are flown, before the tables are made. landed: called with every row as it is
-    there. function: flies one cell. conf: the user's configuration folders, for the record.
+    record of the results once all cells are flown, before the tables are made. on_result: called with every row as it
+    is there. function: flies one cell. conf: the user's configuration folders, for the record.
 
     A cell whose settings contradict each other is not flown: the outcome of its row is "invalid", `cause` says why.
 
@@ -127,9 +127,9 @@ def run_sweep(
             rows[job.key] = _row_of(job, failed_row(job.cell.config, None, job.invalid, INVALID), store)
         todo = len(jobs) - len(rows)
         for row in rows.values():
-            landed(row)
+            on_result(row)
         for row in _fly_missing(jobs, rows, store, engine or LocalEngine(workers), function, isolate, progress):
-            landed(row)
+            on_result(row)
         in_order = [rows[key] for key in jobs]
         if all(row["outcome"] == INVALID for row in in_order):
             raise UsageError(in_order[0]["cause"])
@@ -247,8 +247,8 @@ def _same_program(row: Mapping[str, Any], job: Job) -> bool:
 
 def _row_of(job: Job, row: Mapping[str, Any], store: CellStore) -> Row:
     """The row of a cell with the user's metrics of its stored flight, by their code as it is now."""
-    own = measured(flight_of(store.path(job.key), row)) if is_measured() else {}
-    return table_row({**row, **own, "key": job.key, "variant": job.variant})
+    measured_values = measured(flight_of(store.path(job.key), row)) if is_measured() else {}
+    return table_row({**row, **measured_values, "key": job.key, "variant": job.variant})
 
 
 def flight_of(path: Path, row: Mapping[str, Any]) -> Flight:

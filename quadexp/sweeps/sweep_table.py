@@ -16,6 +16,7 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_table, write_table
 from quadexp.names import NAMED, check_names, sha256_of
+from quadexp.parts.former import hashed
 from quadexp.report.frame import RESULTS
 from quadexp.report.metrics import (
     TEXT_COLUMNS,
@@ -39,7 +40,7 @@ Row = dict[str, Any]
 
 def condition(record: Mapping[str, Any]) -> dict[str, Any]:
     """The part of a flight's record that was asked for: without the places where a checkpoint was looked for."""
-    return {**record, "controller": {k: v for k, v in record["controller"].items() if k != "models"}}
+    return {**hashed(dict(record)), "controller": {k: v for k, v in record["controller"].items() if k != "models"}}
 
 
 def open_results(out: str | Path) -> CellStore:
@@ -82,8 +83,8 @@ def write_results(
     if not write:
         return statistics, table, {}, []
     csv, columns, path = to_csv(rows), to_columns(rows), root / RESULTS
-    made = {name: sha256_of(text) for name, text in {**texts, "results.csv": csv}.items()}
-    record = {**record, "made": made, "statistics": statistics.fingerprint}
+    hashes = {name: sha256_of(text) for name, text in {**texts, "results.csv": csv}.items()}
+    record = {**record, "made": hashes, "statistics": statistics.fingerprint}
     wrong = []
     if path.exists():
         try:

@@ -6,8 +6,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from quadexp.models.build_context import BuildContext
 from quadexp.models.residual import Residual
-from quadexp.parts.part import Given, Part
+from quadexp.parts.part import Part
 from quadexp.parts.settings import Backend, Setting, key, keyed
 from quadexp.physics.vehicle import Vehicle
 
@@ -47,6 +48,6 @@ class PlantPart(Part):
     step: float = key(1e-3, "largest integration step; a control period is divided evenly", "[1e-5, 0.02]", "s")
     backend: Backend = "auto"
 
-    def build(self, given: Given) -> Any:
-        """The simulated truth that flies given.vehicle, a Plant. given: see Given."""
+    def build(self, context: BuildContext) -> Any:
+        """The simulated truth that flies context.vehicle, a Plant. context: see BuildContext."""
         raise NotImplementedError

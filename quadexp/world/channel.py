@@ -4,7 +4,7 @@
     b' = a b + g n                                 every 10 ms; the drift, held in between
     arrival s_i + delay + jitter U_i, or never, with the probability `drop`;  U_i uniform in [0, 1)
 
-The controller is told the newest reading that has arrived, until a newer one has; one that was overtaken is ignored.
+The controller is given the newest reading that has arrived, until a newer one has; one that was overtaken is ignored.
 With a rate, s_i = i / rate; without, every control instant t has a reading of its own, taken at t - delay. The drift is
 
     a = 1, g = walk sqrt(10 ms)                    random walk
@@ -13,9 +13,9 @@ With a rate, s_i = i / rate; without, every control instant t has a reading of i
 White noise, drift, and jitter with losses have a random stream each, by time (streams.py): they are the same at every
 control rate. Until the first reading arrives, the exact one of the start holds.
 
-Inner states: the drift; when what is told was taken (s), and what is told; of a channel whose readings wait the reading
-that everything older has come to, likewise, and every reading on its way, the oldest first: when it arrives (s), when
-it was taken, and itself. Parameters: deviations of the white noise, bias, then a, g, delay, jitter, drop.
+Inner states: the drift; when what is given was taken (s), and what is given; of a channel whose readings wait the
+reading that everything older has come to, likewise, and every reading on its way, the oldest first: when it arrives
+(s), when it was taken, and itself. Parameters: deviations of the white noise, bias, then a, g, delay, jitter, drop.
 """
 
 from __future__ import annotations
@@ -73,12 +73,12 @@ class Channel:
 
     @property
     def waits(self) -> bool:
-        """Whether a reading may not be told at the instant at which it is taken, or not be taken at every one."""
+        """Whether a reading may not be given at the instant at which it is taken, or not be taken at every one."""
         return bool(self.rate or self.delay or self.jitter or self.drop)
 
     @property
     def taken(self) -> int:
-        """Which inner state says when the told reading was taken; what is told stands behind it."""
+        """Which inner state says when the given reading was taken; what is given stands behind it."""
         return self.errors * self.drifts
 
     def _offset(self, clock: Clock) -> float:
@@ -123,13 +123,13 @@ class Channel:
         """See Effect.start. value: what an exact sensor reads then, (size,)."""
         drift = self.first * rng.standard_normal(self.taken)
         waiting = np.tile([NEVER, 0.0, *np.zeros(self.size)], self._waiting(clock))
-        told = np.concatenate([[0.0], value])
-        inner = [drift, told] + [told, waiting] * self.waits
+        reading = np.concatenate([[0.0], value])
+        inner = [drift, reading] + [reading, waiting] * self.waits
         numbers = [self.decay, self.gain, self.delay, self.jitter, self.drop]
         return np.concatenate(inner), np.concatenate([self.noise, self.bias, numbers])
 
     def measure(self, at: Readings, value_at: Callable[[Any], ca.MX]) -> tuple[ca.MX, ca.MX]:
-        """Inner states after the period and what is told (size,). at: with its own inner states, parameters and draws.
+        """Inner states after the period and what is given (size,). at: with its own inner states, parameters and draws.
 
         value_at: what an exact sensor reads, (size,), at a time (s) since the period began, a number or a symbol.
         """
@@ -137,7 +137,7 @@ class Channel:
         noise, bias, (decay, gain, delay, jitter, drop) = (
             at.parameters[:m], at.parameters[m : 2 * m], ca.vertsplit(at.parameters[2 * m :]),
         )  # fmt: skip
-        draws = named(drawn, split(at.draws, (one.size for one in drawn.values())))
+        draws = named(drawn, split(at.draws, (drawing.size for drawing in drawn.values())))
         drifts = [(-NEVER, at.inner[: self.taken])]  # each with the time from which on it holds
         for tick in ca.vertsplit(draws[f"{self.name} drift"], 1 + m) if self.drifts else []:
             before = drifts[-1][1]
@@ -162,15 +162,15 @@ class Channel:
                 arrives, lost = arrives + jitter * share, ca.logic_or(lost, dropped)
             reading = self.add(value_at(offset), slow_at(time), noise * numbers[-m:])
             readings.append(ca.vertcat(ca.if_else(lost, NEVER, arrives), time, reading))
-        drift, told = drifts[-1][1], readings[-1][1:]
+        drift, latest = drifts[-1][1], readings[-1][1:]
         if not self.waits:
-            return ca.vertcat(drift, told), told[1:]
+            return ca.vertcat(drift, latest), latest[1:]
         first, count = self.taken + 1 + self.size, len(readings)
         base = at.inner[first : first + 1 + self.size]
         readings = [*ca.vertsplit(at.inner[first + 1 + self.size :], 2 + self.size), *readings]
         for reading in readings[:count]:  # which have arrived, if ever
             base = ca.if_else(reading[0] < NEVER, reading[1:], base)
-        told, waiting = base, readings[count:]
+        latest, waiting = base, readings[count:]
         for reading in waiting:
-            told = ca.if_else(reading[0] <= at.t + ROUNDING, reading[1:], told)
-        return ca.vertcat(drift, told, base, *waiting), told[1:]
+            latest = ca.if_else(reading[0] <= at.t + ROUNDING, reading[1:], latest)
+        return ca.vertcat(drift, latest, base, *waiting), latest[1:]

@@ -23,7 +23,7 @@ from quadexp.physics.expression import split, symbols
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
-from quadexp.world.effect import Clock, Effect, Moment, Readings, Sizes, Told
+from quadexp.world.effect import Clock, Effect, Measured, Moment, Readings, Sizes
 from quadexp.world.integrator import INPUTS, OUTPUTS, Equations, period
 
 WORLD_INPUTS = (*INPUTS, "draws", "time")
@@ -81,25 +81,25 @@ def compose(
     )
 
     cut = [0, airframe.inner, stepping.size("inner"), layout.size("inner"), inner.numel()]
-    inner_a, own, measuring, _ = ca.vertsplit(inner, cut)
+    inner_a, of_effects, measuring, _ = ca.vertsplit(inner, cut)
     theta, known = parameters[: airframe.parameters], parameters[: stepping.size("parameters")]
     begin = parts.inner_after("begin", "t", "x", "own", "u", "parameters", "draws", "step")
-    own = begin(time, x, own, u, known, draws[: stepping.size("draws")], step)
+    of_effects = begin(time, x, of_effects, u, known, draws[: stepping.size("draws")], step)
     if equations.begin:
-        wind, thrusts, *_ = parts.drive()(time, x, own, u, known, step)
+        wind, thrusts, *_ = parts.drive()(time, x, of_effects, u, known, step)
         s, _ = equations.begin(_seen_from_the_air(x, wind), inner_a, thrusts, theta)
         rest = s[N_STATE:]
     else:
         rest = inner_a
-    state = ca.vertcat(x, rest, parts.chosen(own, parts.moving), ca.MX.zeros(WIND + n + 3))
+    state = ca.vertcat(x, rest, parts.chosen(of_effects, parts.moving), ca.MX.zeros(WIND + n + 3))
     times = time + step * ca.DM(range(steps)).T
-    one, used = _trimmed(parts.step())
-    still = parts.chosen(own, parts.still)[used["still"]]
-    states, *kept = _repeated(one, steps, state, times, noise, (still, u, known[used["parameters"]], step))
+    single, used = _trimmed(parts.step())
+    still = parts.chosen(of_effects, parts.still)[used["still"]]
+    states, *kept = _repeated(single, steps, state, times, noise, (still, u, known[used["parameters"]], step))
 
-    begun, last_t = own, time + clock.period
-    x_next, own, inner_a, wind, reading, doubt = parts.settled(states[:, -1], begun, known, theta, last_t, step)
-    own = ca.vertcat(own, measuring)
+    begun, last_t = of_effects, time + clock.period
+    x_next, of_effects, inner_a, wind, reading, doubt = parts.settled(states[:, -1], begun, known, theta, last_t, step)
+    of_effects = ca.vertcat(of_effects, measuring)
     names, forces_kept = equations.step.name_out()[1:] if equations.end else [], None
     if not equations.end:
         forces_kept, *kept = kept
@@ -109,40 +109,40 @@ def compose(
         alone = period(equations, steps)(x, inner[: airframe.inner], u, noise, theta, step)
         x_next, inner_a, reading, doubt, *kept = alone
     everything = _Parts(equations, tuple(effects), layout, vehicle)
-    doubt = everything.ended(own, parameters, doubt)
+    doubt = everything.ended(of_effects, parameters, doubt)
 
     each_step = partial(parts.each_step, states, begun, known, theta, times, step)
 
     def columns_of(wanted: Sequence[str]) -> ca.MX:
         places = [columns[name] for name in wanted]
-        inner_now = each_step(lambda x, own, inner, *_: ca.vertcat(inner, own)[places])
+        inner_now = each_step(lambda x, of_effects, inner, *_: ca.vertcat(inner, of_effects)[places])
         return ca.horzcat(ca.vertcat(inner[: airframe.inner], begun)[places], inner_now)
 
     def forces() -> ca.MX:
         return states[-3:, :] + (each_step(lambda *after: after[-2]) if equations.end else forces_kept)
 
-    told = {"state": x_next, "specific_force": reading}
-    known_now = (own, parameters, draws, step, clock, vehicle)
+    measured = {"state": x_next, "specific_force": reading}
+    known_now = (of_effects, parameters, draws, step, clock, vehicle)
     seen = Readings(last_t, ca.horzcat(x, states[:N_STATE, :]), *known_now, columns_of, forces)
-    own, told = everything.measured(seen, told)
-    inner_next = ca.vertcat(inner_a, own, wind)
-    results = [x_next, inner_next, told["specific_force"], doubt, told["state"]]
+    of_effects, measured = everything.measured(seen, measured)
+    inner_next = ca.vertcat(inner_a, of_effects, wind)
+    results = [x_next, inner_next, measured["specific_force"], doubt, measured["state"]]
     arguments = [x, inner, u, noise, parameters, step, draws, time]
     name = "_".join([equations.step.name(), *(effect.part for effect in effects)])
     return ca.Function(f"{name}_period", arguments, [*results, *kept], WORLD_INPUTS, [*WORLD_OUTPUTS, *names])
 
 
-def _repeated(one: ca.Function, steps: int, state: ca.MX, times: ca.MX, noise: ca.MX, held: Any) -> list[ca.MX]:
+def _repeated(step: ca.Function, steps: int, state: ca.MX, times: ca.MX, noise: ca.MX, held: Any) -> list[ca.MX]:
     """Results of all steps, column by column. held: still, u, parameters and step, the same for every step.
 
     Written out, a call a step, what is held is read where it is; a loop needs a copy of it for every step.
     """
     if steps > WRITTEN_OUT:
         again = [ca.repmat(value, 1, steps) for value in held]
-        return list(one.mapaccum(steps).call([state, times, *again[:2], noise, *again[2:]]))
+        return list(step.mapaccum(steps).call([state, times, *again[:2], noise, *again[2:]]))
     columns = list[list[ca.MX]]()
     for i in range(steps):
-        columns.append(list(one.call([state, times[i], *held[:2], noise[:, i], *held[2:]])))
+        columns.append(list(step.call([state, times[i], *held[:2], noise[:, i], *held[2:]])))
         state = columns[-1][0]
     return [ca.horzcat(*each) for each in zip(*columns, strict=True)]
 
@@ -156,13 +156,13 @@ def _trimmed(step: ca.Function) -> tuple[ca.Function, dict[str, list[int]]]:
     used = {name: [*range(step.size1_in(i))] for name, i in places.items()}
     if not step.is_a("SXFunction"):
         return step, used
-    given = step.sx_in()
-    results = step.call(given)
+    arguments = step.sx_in()
+    results = step.call(arguments)
     for name, i in places.items():
-        needed = ca.which_depends(ca.vertcat(*map(ca.vec, results)), given[i], 1, False) if used[name] else []
-        used[name] = [place for place, one in enumerate(needed) if one]
-        given[i] = given[i][used[name]]
-    return ca.Function(step.name(), given, results), used
+        needed = ca.which_depends(ca.vertcat(*map(ca.vec, results)), arguments[i], 1, False) if used[name] else []
+        used[name] = [place for place, is_needed in enumerate(needed) if is_needed]
+        arguments[i] = arguments[i][used[name]]
+    return ca.Function(step.name(), arguments, results), used
 
 
 def wind_function(equations: Equations, effects: Sequence[Effect], layout: Layout, vehicle: Vehicle) -> ca.Function:
@@ -184,25 +184,26 @@ class _Parts:
         self._kind = ca.MX if any(effect.symbols == "MX" for effect in effects) else ca.SX
         # Effects whose inner states change from step to step, and those that only use them in the steps.
         self.moving = [i for i, effect in enumerate(effects) if effect.has("advance")]
-        acting = [i for i, one in enumerate(effects) if any(map(one.has, ("wind", "thrusts", "wrench")))]
+        acting = [i for i, effect in enumerate(effects) if any(map(effect.has, ("wind", "thrusts", "wrench")))]
         self.still = [i for i in acting if i not in self.moving]
 
     def size(self, which: list[int]) -> int:
         """Number of the inner states of some effects."""
         return sum(self._layout.effects[i].inner for i in which)
 
-    def chosen(self, own: Any, which: list[int]) -> Any:
+    def chosen(self, of_effects: Any, which: list[int]) -> Any:
         """The inner states of some effects, of those of all."""
-        pieces = self._cut(own, "inner")
-        return ca.vertcat(own[:0], *(pieces[i] for i in which))
+        pieces = self._cut(of_effects, "inner")
+        return ca.vertcat(of_effects[:0], *(pieces[i] for i in which))
 
-    def assembled(self, moved: Any, own: Any) -> Any:
-        """The inner states of all effects: `moved` of those that change from step to step, the others' from `own`."""
-        pieces, first = self._cut(own, "inner"), 0
+    def assembled(self, moved: Any, of_effects: Any) -> Any:
+        """The inner states of all effects: `moved` of those that change from step to step, the others' from
+        `of_effects`."""
+        pieces, first = self._cut(of_effects, "inner"), 0
         for i in self.moving:
             size = self._layout.effects[i].inner
             pieces[i], first = moved[first : first + size], first + size
-        return ca.vertcat(own[:0], *pieces)
+        return ca.vertcat(of_effects[:0], *pieces)
 
     def _cut(self, value: Any, kind: str) -> list[Any]:
         """The effects' shares of a vector, with the airframe's before them or, of the inner states, without."""
@@ -219,13 +220,13 @@ class _Parts:
         }  # fmt: skip
         return [self._kind.sym(name, sizes[name]) for name in names]
 
-    def _moments(self, **given: Any) -> list[Moment]:
+    def _moments(self, **values: Any) -> list[Moment]:
         """What each effect sees. own, parameters, draws: of all of them."""
         cut = {
-            name: self._cut(given.pop(name), kind) if name in given else [self._kind(0, 1)] * len(self._effects)
+            name: self._cut(values.pop(name), kind) if name in values else [self._kind(0, 1)] * len(self._effects)
             for name, kind in (("own", "inner"), ("parameters", "parameters"), ("draws", "draws"))
         }
-        rest = {"wind": self._kind.zeros(WIND), "thrust": None, "x_next": None, "command": None} | given
+        rest = {"wind": self._kind.zeros(WIND), "thrust": None, "x_next": None, "command": None} | values
         return [
             Moment(inner=inner, parameters=theta, draws=draws, **rest)
             for inner, theta, draws in zip(*cut.values(), strict=True)
@@ -248,7 +249,7 @@ class _Parts:
         """Symbols of these names, and what each effect sees of them."""
         symbols = self._symbols(*names)
         called = {"u": "command", "thrusts": "thrust"}
-        moments = self._moments(**{called.get(name, name): one for name, one in zip(names, symbols, strict=True)})
+        moments = self._moments(**{called.get(name, name): symbol for name, symbol in zip(names, symbols, strict=True)})
         if "thrusts" not in names:
             return symbols, moments
         entering = [self._symbols("u")[0] for _ in self._effects]
@@ -258,8 +259,8 @@ class _Parts:
     def drive(self) -> ca.Function:
         """(t, x, own, u, parameters, step) -> wind (3,), thrusts (n,), and those that enter each effect."""
         symbols = self._symbols("t", "x", "own", "u", "parameters", "step")
-        t, x, own, command, parameters, step = symbols
-        moments = self._moments(t=t, x=x, own=own, parameters=parameters, step=step)
+        t, x, of_effects, command, parameters, step = symbols
+        moments = self._moments(t=t, x=x, own=of_effects, parameters=parameters, step=step)
         wind = self._kind.zeros(WIND)
         for effect, at in zip(self._effects, moments, strict=True):
             if effect.has("wind"):
@@ -281,29 +282,33 @@ class _Parts:
                 force, torque = force + more[0], torque + more[1]
         return self._function("pushes", symbols, [force, torque])
 
-    def settled(self, S: Any, own: Any, known: Any, theta: Any, t: Any, step: Any) -> tuple[Any, ...]:
+    def settled(self, S: Any, of_effects: Any, known: Any, theta: Any, t: Any, step: Any) -> tuple[Any, ...]:
         """State, inner states of effects and airframe, wind, specific force without effects' forces, and doubt, of a
-        control period that would end after a step with S, see `step`. own: as the period began."""
+        control period that would end after a step with S, see `step`. of_effects: as the period began."""
         equations, n = self._equations, self._vehicle.n_rotors
         further = equations.step.size1_in(0) - N_STATE
         sizes = [N_STATE, further, self.size(self.moving), WIND, n, 3]
         x, rest, moved, wind, thrusts, _ = split(S, sizes)
         end = self.inner_after("end", "t", "x", "own", "parameters", "step")
-        own = end(t, x, self.assembled(moved, own), known, step)
+        of_effects = end(t, x, self.assembled(moved, of_effects), known, step)
         if not equations.end:
-            return x, own, rest, wind, None, None
+            return x, of_effects, rest, wind, None, None
         held = equations.command(thrusts, theta) if equations.command else thrusts
         _, inner, reading, doubt = equations.end(ca.vertcat(_seen_from_the_air(x, wind), rest), held, theta)
-        return x, own, inner, wind, reading, doubt
+        return x, of_effects, inner, wind, reading, doubt
 
-    def each_step(self, states: Any, own: Any, known: Any, theta: Any, times: Any, step: Any, select: Any) -> ca.MX:
+    def each_step(
+        self, states: Any, inner_of_effects: Any, known: Any, theta: Any, times: Any, step: Any, select: Any
+    ) -> ca.MX:
         """What `select` makes of `settled`, (k, steps). times: when the steps began."""
-        given = [states[:, 0], own, known, theta, times[0], step]
-        S, before, of_effects, of_airframe, began, h = (ca.MX.sym(f"s{i}", one.numel()) for i, one in enumerate(given))
+        arguments = [states[:, 0], inner_of_effects, known, theta, times[0], step]
+        S, before, of_effects, of_airframe, began, h = (
+            ca.MX.sym(f"s{i}", argument.numel()) for i, argument in enumerate(arguments)
+        )
         after = self.settled(S, before, of_effects, of_airframe, began + h, h)
         settled = ca.Function("settled", [S, before, of_effects, of_airframe, began, h], [select(*after)])
         steps = states.size2()
-        held = [ca.repmat(value, 1, steps) for value in (own, known, theta)]
+        held = [ca.repmat(value, 1, steps) for value in (inner_of_effects, known, theta)]
         return settled.map(steps)(states, *held, times, ca.repmat(step, 1, steps))
 
     def step(self) -> ca.Function:
@@ -323,13 +328,13 @@ class _Parts:
         for i in self.still:
             size = layout.effects[i].inner
             pieces[i], first = still[first : first + size], first + size
-        own = self.assembled(moved, ca.vertcat(ca.MX(0, 1), *pieces))
-        wind, thrusts, *entering = self.drive()(t, x, own, u, parameters, step)
+        of_effects = self.assembled(moved, ca.vertcat(ca.MX(0, 1), *pieces))
+        wind, thrusts, *entering = self.drive()(t, x, of_effects, u, parameters, step)
         pushes = any(effect.has("wrench") for effect in self._effects)
         blows = any(effect.has("wind") for effect in self._effects)
         held = equations.command(thrusts, theta) if equations.command else thrusts
-        given = equations.thrust(ca.vertcat(x, rest), held, theta, step) if equations.thrust else thrusts
-        force, torque = self.pushes()(t, x, own, parameters, step, wind, given, *entering)
+        delivered = equations.thrust(ca.vertcat(x, rest), held, theta, step) if equations.thrust else thrusts
+        force, torque = self.pushes()(t, x, of_effects, parameters, step, wind, delivered, *entering)
         mass = equations.mass(theta) if equations.mass else self._vehicle.mass
         kick = step / 2 * force / mass
         turn = step / 2 * (ca.inv(ca.DM(self._vehicle.inertia_matrix)) @ torque)
@@ -346,32 +351,32 @@ class _Parts:
             x_next = ca.vertcat(x_next[POSITION] + step * wind, x_next[ATTITUDE], x_next[VELOCITY] + wind, x_next[RATE])
         if self.moving:
             advance = self.inner_after("advance", *IN_STEP, "x_next")
-            own = advance(t, x, own, parameters, step, wind, thrusts, x_next, *entering)
+            of_effects = advance(t, x, of_effects, parameters, step, wind, thrusts, x_next, *entering)
         pushed = rotation_matrix(x_next[ATTITUDE]).T @ (force / mass) if pushes else ca.MX.zeros(3)
-        S_next = ca.vertcat(x_next, rest, self.chosen(own, self.moving), wind, thrusts, pushed)
-        one = ca.Function("world_step", [S, t, still, u, noise, parameters, step], [S_next, *kept])
+        S_next = ca.vertcat(x_next, rest, self.chosen(of_effects, self.moving), wind, thrusts, pushed)
+        function = ca.Function("world_step", [S, t, still, u, noise, parameters, step], [S_next, *kept])
         if self._kind is not ca.SX or not equations.step.is_a("SXFunction"):
-            return one
+            return function
         # In scalar expressions everything is one function, without copies, and what two hooks compute is computed once.
-        arguments = one.sx_in()
-        return ca.Function(one.name(), arguments, ca.cse(one.call(arguments)))
+        arguments = function.sx_in()
+        return ca.Function(function.name(), arguments, ca.cse(function.call(arguments)))
 
-    def ended(self, own: Any, parameters: Any, doubt: Any) -> Any:
+    def ended(self, of_effects: Any, parameters: Any, doubt: Any) -> Any:
         """The doubt of the airframe, or that an effect ends the flight: Python then says why."""
         for effect, inner, theta in zip(
-            self._effects, self._cut(own, "inner"), self._cut(parameters, "parameters"), strict=True
+            self._effects, self._cut(of_effects, "inner"), self._cut(parameters, "parameters"), strict=True
         ):
             if effect.has("ended"):
                 doubt = ca.fmax(doubt, effect.ended(inner, theta))
         return doubt
 
-    def measured(self, seen: Readings, told: Told) -> tuple[Any, Told]:
-        """The inner states of all effects after the period, and what the controller is told. seen: with those before,
+    def measured(self, seen: Readings, measured: Measured) -> tuple[Any, Measured]:
+        """The inner states of all effects after the period, and what the controller is given. seen: with those before,
         and all parameters and draws."""
-        found = []
+        inner_states = []
         cut = [self._cut(getattr(seen, name), name) for name in ("inner", "parameters", "draws")]
         for effect, inner, theta, drawn in zip(self._effects, *cut, strict=True):
             if effect.has("measure"):
-                inner, told = effect.measure(seen._replace(inner=inner, parameters=theta, draws=drawn), told)
-            found.append(inner)
-        return ca.vertcat(*found), told
+                inner, measured = effect.measure(seen._replace(inner=inner, parameters=theta, draws=drawn), measured)
+            inner_states.append(inner)
+        return ca.vertcat(*inner_states), measured

@@ -1,4 +1,4 @@
-"""An effect: one imperfection of the world between a command and what the controller is told.
+"""An effect: one imperfection of the world between a command and what the controller is given.
 
     command -> link -> actuator -> battery -> health -> ground -> airframe in wind -> sensor -> estimator -> controller
 
@@ -21,8 +21,9 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
+from quadexp.parts.former import names_of
 from quadexp.parts.part import Part
-from quadexp.parts.sensor_sheet import SensorSheet
+from quadexp.parts.sensor_spec import SensorSpec
 from quadexp.parts.settings import keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.vehicle import Vehicle
@@ -121,7 +122,7 @@ class Readings(NamedTuple):
     forces: Callable[[], ca.MX]
 
 
-Told = dict[str, Any]  # readings by name: "state" (13,), "specific_force" (3,), and what sensors add for estimators
+Measured = dict[str, Any]  # readings by name: "state" (13,), "specific_force" (3,), and what sensors add for estimators
 
 
 @keyed
@@ -164,7 +165,7 @@ class Effect(Part):
 
     @property
     def tells_state(self) -> bool:
-        """Whether the state that is told may differ from the true one."""
+        """Whether the state that is given may differ from the true one."""
         return self.has("measure")
 
     def beside(self, columns: Collection[str]) -> Effect:
@@ -172,16 +173,16 @@ class Effect(Part):
         return self
 
     def first(self, inner: np.ndarray, state: np.ndarray) -> np.ndarray:
-        """The state (13,) that is told when a flight begins. inner: its own; state: what it would be otherwise."""
+        """The state (13,) that is given when a flight begins. inner: its own; state: what it would be otherwise."""
         return state
 
     def true_vehicle(self, vehicle: Vehicle) -> Vehicle:
-        """The vehicle that is flown, from the one that controllers believe in."""
+        """The vehicle that is flown, from the one that controllers assume."""
         return vehicle
 
-    def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
+    def stated(self, sensor_spec: SensorSpec, vehicle: Vehicle) -> SensorSpec:
         """The data sheets of the true vehicle's sensors, from what they are without this effect."""
-        return sheet
+        return sensor_spec
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
         """Names of the columns of a flight that are inner states of its own, and which."""
@@ -212,8 +213,8 @@ class Effect(Part):
         """Inner states at the end of a control period, with its time and state, before anything is measured."""
         raise NotImplementedError
 
-    def measure(self, at: Readings, told: Told) -> tuple[Expression, Told]:
-        """Inner states after the period, and what is told: `told` with some of it changed, or something added."""
+    def measure(self, at: Readings, measured: Measured) -> tuple[Expression, Measured]:
+        """Inner states after the period, and what is given: `given` with some of it changed, or something added."""
         raise NotImplementedError
 
     def ended(self, inner: Any, parameters: Any) -> Any:
@@ -242,3 +243,6 @@ def ordered(effects: list[Effect]) -> tuple[Effect, ...]:
     if twice:
         raise UsageError(f"{twice}: two effects of that name; each needs one of its own")
     return tuple(sorted(effects, key=lambda effect: STAGES.index(effect.stage)))
+
+
+__getattr__ = names_of(__name__)

@@ -62,8 +62,8 @@ class Equations:
         outputs = STEP_OUTPUTS[:1] if self.end else STEP_OUTPUTS
         if step.n_in() != len(STEP_INPUTS) or step.n_out() < len(outputs):
             needed = f"{', '.join(STEP_INPUTS)} -> {', '.join(outputs)}"
-            found = f"it has {step.n_in()} inputs and {step.n_out()} outputs"
-            raise UsageError(f"{step.name()}: must be a function {needed}; {found}")
+            counts = f"it has {step.n_in()} inputs and {step.n_out()} outputs"
+            raise UsageError(f"{step.name()}: must be a function {needed}; {counts}")
         sizes = {STEP_OUTPUTS[0]: (step.numel_out(0), step.numel_in(0))}
         if self.end is None:
             sizes[STEP_OUTPUTS[1]] = (step.numel_out(1), 3)
@@ -233,7 +233,7 @@ class SimulatedPlant:
         """Equations that are never in doubt, with the same inputs; None where there are none."""
         return None
 
-    def check_safe(self, found: dict[str, np.ndarray], step: float) -> None:
+    def check_safe(self, flown: dict[str, np.ndarray], step: float) -> None:
         """Raise ModelDomainError where the safe equations, whose results these are, have no answer. step: s."""
 
     def same_period(self, function: BufferedFunction, equations: Equations) -> ca.Function:

@@ -37,10 +37,10 @@ class RotorLoss(Effect):
     def check_together(self) -> None:
         for loss in self.losses:
             if not isinstance(loss, Mapping) or {*loss} != {*FAILURE}:
-                given = sorted(loss) if isinstance(loss, Mapping) else loss
-                raise UsageError(f"health.losses: {given}; each loss is {{rotor: number, t: s, factor: 0 .. 1}}")
+                losses = sorted(loss) if isinstance(loss, Mapping) else loss
+                raise UsageError(f"health.losses: {losses}; each loss is {{rotor: number, t: s, factor: 0 .. 1}}")
             numbers = [loss[name] for name in FAILURE]
-            if not all(isinstance(one, int | float) and not isinstance(one, bool) for one in numbers):
+            if not all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers):
                 raise UsageError(f"health.losses: rotor, t and factor are {numbers}, all must be numbers")
             if int(loss["rotor"]) != loss["rotor"] or loss["rotor"] < 0:
                 raise UsageError(f"health.losses: rotor {loss['rotor']}: must be a rotor's number, from 0")

@@ -10,7 +10,7 @@ ZERO = (0.0, 0.0, 0.0)
 RATES = "[0, 8000]"
 AGES = "[0, 0.5]"
 RATE_HZ = Setting("readings a second; 0: one at every control instant", RATES, "Hz")
-AGE = Setting("age at which a reading is told", AGES, "s")
+AGE = Setting("age at which a reading is given", AGES, "s")
 JITTER = Setting("what a reading may take longer, uniform from reading to reading", AGES, "s")
 DROP = Setting("share of the readings that get lost", "[0, 1)")
 CUTOFF = Setting("cut-off of the low pass before the readings; 0: none", "[0, 10000]", "Hz")
@@ -52,10 +52,10 @@ class SensorKeys(Settings):
     rotor_speed_drop: float = key(0.0, DROP)
     rotor_speed_step: float = key(0.0, "smallest difference that a telegram can tell; 0: any", "[0, 1000]", "rad/s")
     rotor_speed_pole_pairs: int = key(
-        0, "of the motors, whose period is told in telegrams of bidirectional DShot; 0: in none", "[0, 50]"
+        0, "of the motors, whose period is given in telegrams of bidirectional DShot; 0: in none", "[0, 50]"
     )
     rotor_speed_of: tuple[int, ...] | None = key(
-        None, "rotors that are measured, from 0; null: all; controllers are told speeds where all are", "[0, 99]"
+        None, "rotors that are measured, from 0; null: all; controllers are given speeds where all are", "[0, 99]"
     )
     position_noise: Triple = key(ZERO, "standard deviation of the white noise, world", "[0, 100]", "m")
     position_drift: float = key(0.0, DRIFT_STD, "[0, 100]", "m")
@@ -67,14 +67,14 @@ class SensorKeys(Settings):
     attitude_drift: float = key(0.0, DRIFT_STD, "[0, 1]", "rad")
     attitude_drift_time: float = key(10.0, DRIFT_TIME)
     attitude_age: Literal["pose", "fresh"] = key(
-        "pose", "attitude that is told: as old as position and velocity, or that of now, as of a filter on board"
+        "pose", "attitude that is given: as old as position and velocity, or that of now, as of a filter on board"
     )
     pose_rate: float = key(0.0, RATE_HZ)
     pose_delay: float = key(0.0, AGE)
     pose_jitter: float = key(0.0, JITTER)
     pose_drop: float = key(0.0, DROP)
     battery_noise: float = key(0.0, "standard deviation of the white noise on the voltage", "[0, 10]", "V")
-    battery_step: float = key(0.0, "smallest difference of the voltage that is told; 0: any", "[0, 1]", "V")
-    sheet_factor: float = key(
-        1.0, "by which the noise, drift and delay that controllers are told of the sensors are wrong", "[0.01, 100]"
+    battery_step: float = key(0.0, "smallest difference of the voltage that is given; 0: any", "[0, 1]", "V")
+    spec_factor: float = key(
+        1.0, "by which the noise, drift and delay that controllers are given the sensors are wrong", "[0.01, 100]"
     )

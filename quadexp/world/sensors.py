@@ -5,7 +5,7 @@
     rotor_speed     W (1 + sigma n), in whole steps         rad/s
     position, velocity   p + e_p,  v + e_v                  world, m, m/s;  e: white noise and a Gauss-Markov process
     attitude        q o [1, e_a / 2] / |..|                 e_a: rad, body axes;  the same
-    battery         the voltage + sigma n, in whole steps   V; no controller is told it, a flight logs it
+    battery         the voltage + sigma n, in whole steps   V; no controller is given it, a flight logs it
 
 How readings drift, wait and get lost: channel.py. Low pass, of first order: physics/low_pass.py. What telegrams
 leave of a speed, and vibration at the rotors' frequencies: physics/telegram.py. Position, velocity and attitude come in
@@ -26,7 +26,7 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.log.schema import BIAS_COLUMNS
-from quadexp.parts.sensor_sheet import SensorSheet, Stated
+from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.parts.settings import declared, keyed
 from quadexp.physics.expression import unit
 from quadexp.physics.low_pass import group_delay
@@ -35,13 +35,13 @@ from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.telegram import dshot_speed, in_steps, vibration
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.channel import DRIFT, Channel
-from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
+from quadexp.world.effect import Clock, Effect, Measured, Readings, Sizes, Start
 from quadexp.world.history import History
 from quadexp.world.sensor_keys import ZERO, SensorKeys
 from quadexp.world.streams import part_stream
 
 POSE = {"position": POSITION, "attitude": ATTITUDE, "velocity": VELOCITY}  # what comes in one message
-STATE = (*POSE, "pose", "gyroscope")  # how keys begin that change what is told of the state
+STATE = (*POSE, "pose", "gyroscope")  # how keys begin that change what is given the state
 BIASES = {"accelerometer": BIAS_COLUMNS[:3], "gyroscope": BIAS_COLUMNS[3:]}
 AXES = 3  # of an accelerometer or a gyroscope
 
@@ -118,8 +118,8 @@ class Sensors(SensorKeys, Effect):
             add = (lambda q, slow, random: turned(q, slow + random)) if name == "attitude" else None
             channels.append(self._channel(name, AXES, add, "attitude" if fresh else "pose", self.later))
         if self.sets("battery"):
-            told = self._channel("battery", 1, lambda v, slow, random: in_steps(v + random, self.battery_step))
-            channels.append(told)
+            channel = self._channel("battery", 1, lambda v, slow, random: in_steps(v + random, self.battery_step))
+            channels.append(channel)
         return {channel.name: channel for channel in channels}
 
     def _channel(
@@ -177,30 +177,30 @@ class Sensors(SensorKeys, Effect):
         angles = 2 * math.pi * part_stream(rng, "angles").random(vehicle.n_rotors)
         inner, parameters = [np.empty(0)], [np.empty(0)]
         for name, channel in self.channels(vehicle.n_rotors).items():
-            own, numbers = channel.start(part_stream(rng, name), start.clock, exact[name])
+            start_values, numbers = channel.start(part_stream(rng, name), start.clock, exact[name])
             kept = np.concatenate([exact[name], exact[name], angles])[: self._keeps(name, vehicle.n_rotors)]
-            inner += [kept, own]
+            inner += [kept, start_values]
             parameters.append(numbers)
         return np.concatenate(inner), np.concatenate(parameters)
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
-        """True biases that drift; what is told of speeds and voltage; when what is told of a sensor was taken."""
-        n, found = vehicle.n_rotors, dict[str, int]()
+        """True biases that drift; what is given speeds and voltage; when what is given a sensor was taken."""
+        n, columns = vehicle.n_rotors, dict[str, int]()
         measured = range(n) if self.rotor_speed_of is None else self.rotor_speed_of
         places, channels = self._places(clock, n), self.channels(n)
         for name, channel in channels.items():
             first = places[name].start + self._keeps(name, n)
             if channel.waits:
-                found[f"taken_{name}"] = first + channel.taken
+                columns[f"taken_{name}"] = first + channel.taken
             if channel.drifts and name in BIASES:
-                found |= {column: first + i for i, column in enumerate(BIASES[name])}
+                columns |= {column: first + i for i, column in enumerate(BIASES[name])}
             if name == "rotor_speed":
-                found |= {f"est_rotor_speed_{i}": first + channel.taken + 1 + i for i in measured}
+                columns |= {f"est_rotor_speed_{i}": first + channel.taken + 1 + i for i in measured}
             if name == "battery":
-                found["est_battery_voltage"] = first + channel.taken + 1
-        return found
+                columns["est_battery_voltage"] = first + channel.taken + 1
+        return columns
 
-    def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
+    def stated(self, sensor_spec: SensorSpec, vehicle: Vehicle) -> SensorSpec:
         """What is set, wrong by sheet_factor; a low pass makes its readings older. An age of zero of the pose is
         nobody's statement, and an estimator's delay is none of the sensors'."""
         ages = dict.fromkeys(POSE, self.pose_delay + self.pose_jitter / 2 or None) | {
@@ -212,35 +212,35 @@ class Sensors(SensorKeys, Effect):
             ages["attitude"] = None if self.later else 0.0
         channels = self.channels(vehicle.n_rotors)
         changed: dict[str, Stated | None] = {
-            name: Stated(float(channel.noise.max()), channel.first, channel.rate, ages[name]).scaled(self.sheet_factor)
+            name: Stated(float(channel.noise.max()), channel.first, channel.rate, ages[name]).scaled(self.spec_factor)
             for name, channel in channels.items()
             if name in ages
         }
         if self.rotor_speed_of is not None and {*self.rotor_speed_of} != {*range(vehicle.n_rotors)}:
             changed["rotor_speed"] = None
-        return replace(sheet, **changed)
+        return replace(sensor_spec, **changed)
 
-    def measure(self, at: Readings, told: Told) -> tuple[ca.MX, Told]:
+    def measure(self, at: Readings, measured: Measured) -> tuple[ca.MX, Measured]:
         rotors, clock, after = at.vehicle.n_rotors, at.clock, [at.inner[:0]]
         channels, places, readings = self.channels(rotors), self._places(clock, rotors), dict[str, ca.MX]()
-        cut = [_slices({name: one.sizes(clock).parameters for name, one in channels.items()})]
-        cut.append(_slices({name: one.sizes(clock).draws for name, one in channels.items()}))
+        cut = [_slices({name: channel.sizes(clock).parameters for name, channel in channels.items()})]
+        cut.append(_slices({name: channel.sizes(clock).draws for name, channel in channels.items()}))
         for name, channel in channels.items():
             inner, keeps = at.inner[places[name]], self._keeps(name, rotors)
-            value_at, kept = self._exact(name, at, told, inner[:keeps])
+            value_at, kept = self._exact(name, at, measured, inner[:keeps])
             parameters, draws = at.parameters[cut[0][name]], at.draws[cut[1][name]]
             its_own = at._replace(inner=inner[keeps:], parameters=parameters, draws=draws)
             inner, readings[name] = channel.measure(its_own, value_at)
             after += [kept, inner]
-        state = ca.vertcat(*(readings.get(name, told["state"][place]) for name, place in POSE.items()))
-        state = ca.vertcat(state, readings.get("gyroscope", told["state"][RATE]))
-        force = readings.get("accelerometer", told["specific_force"])
-        return ca.vertcat(*after), told | {"state": state, "specific_force": force}
+        state = ca.vertcat(*(readings.get(name, measured["state"][place]) for name, place in POSE.items()))
+        state = ca.vertcat(state, readings.get("gyroscope", measured["state"][RATE]))
+        force = readings.get("accelerometer", measured["specific_force"])
+        return ca.vertcat(*after), measured | {"state": state, "specific_force": force}
 
-    def _exact(self, name: str, at: Readings, told: Told, kept: ca.MX) -> tuple[Callable[[Any], ca.MX], ca.MX]:
+    def _exact(self, name: str, at: Readings, measured: Measured, kept: ca.MX) -> tuple[Callable[[Any], ca.MX], ca.MX]:
         """What an exact sensor reads at a time (s) since the period began, and what is kept of the quantity."""
         if name == "accelerometer":
-            return self._force(at, told["specific_force"], kept)
+            return self._force(at, measured["specific_force"], kept)
         if name == "gyroscope":
             rates = History(at.states[RATE, :], at.clock).low_passed(kept, self.gyroscope_cutoff)
             return rates.at, rates.values[:, -1]

@@ -19,8 +19,8 @@ from dataclasses import astuple, dataclass
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.models.build_context import BuildContext
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
-from quadexp.parts.part import Given
 from quadexp.parts.settings import Settings, Triple, key, keyed, part
 from quadexp.physics.drag import linear_drag_force, quadratic_drag_force
 from quadexp.physics.expression import Expression, limited, symbols
@@ -86,8 +86,8 @@ class Simplified(PlantEffects, PlantPart):
 
     former_kind = "simplified"
 
-    def build(self, given: Given) -> SimplifiedPlant:
-        return SimplifiedPlant(given.vehicle, part(PlantEffects, self), step=self.step, backend=self.backend)
+    def build(self, context: BuildContext) -> SimplifiedPlant:
+        return SimplifiedPlant(context.vehicle, part(PlantEffects, self), step=self.step, backend=self.backend)
 
 
 class SimplifiedPlant(SimulatedPlant):
@@ -145,7 +145,7 @@ def _equations(vehicle: Vehicle, noisy: bool) -> Equations:
         return _body_acceleration(body_velocity, delivered, effects, vehicle) + force_noise
 
     def slope(state: Expression) -> Expression:
-        """The rigid body is told what goes beyond the delivered thrust: drag, lift and noise."""
+        """The rigid body is given what goes beyond the delivered thrust: drag, lift and noise."""
         nominal = along_z(ca.sum1(delivered) / vehicle.mass)
         return state_derivative(state, delivered, vehicle, ca.vertcat(specific_force(state) - nominal, torque_noise))
 

@@ -17,11 +17,11 @@ from typing import Any, Literal
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.parts.sensor_sheet import SensorSheet, Stated, noisier
+from quadexp.parts.sensor_spec import SensorSpec, Stated, noisier
 from quadexp.parts.settings import key, keyed
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
-from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
+from quadexp.world.effect import Clock, Effect, Measured, Readings, Sizes, Start
 from quadexp.world.sensors import Sensors, turned
 from quadexp.world.streams import Sampled
 
@@ -33,8 +33,8 @@ ROUNDING = 1e-6  # of an integration step, by which a delay may differ from whol
 class StatedEstimate(Effect):
     """The truth with stated noise and delay.
 
-    Inner states: of each control period that is still to be told, the oldest first, the two true states between which
-    what is told lies. parameters: standard deviations of position, velocity, attitude and rate, (4,).
+    Inner states: of each control period that is still to be given, the oldest first, the two true states between which
+    what is given lies. parameters: standard deviations of position, velocity, attitude and rate, (4,).
     """
 
     prefix = "estimator."
@@ -43,9 +43,9 @@ class StatedEstimate(Effect):
     velocity_noise: float = key(0.0, "standard deviation of the velocity, per axis", "[0, 10]", "m/s")
     attitude_noise: float = key(0.0, "standard deviation of the attitude, per axis", "[0, 1]", "rad")
     rate_noise: float = key(0.0, "standard deviation of the body rate, per axis", "[0, 10]", "rad/s")
-    delay: float = key(0.0, "age of the state that is told", "[0, 0.5]", "s")
+    delay: float = key(0.0, "age of the state that is given", "[0, 0.5]", "s")
     gyro: Literal["late", "fresh"] = key(
-        "late", "body rate that is told: as old as the rest of the state, or that of now, as a gyroscope's is"
+        "late", "body rate that is given: as old as the rest of the state, or that of now, as a gyroscope's is"
     )
 
     stage = "estimator"
@@ -58,8 +58,8 @@ class StatedEstimate(Effect):
 
     def among(self, effects: Sequence[Effect]) -> Effect:
         """Its noise comes on top of what sensors tell of the state."""
-        told = any(isinstance(effect, Sensors) and effect.tells_state for effect in effects)
-        return replace(self, delay=0.0, follows=True) if told else self
+        by_sensors = any(isinstance(effect, Sensors) and effect.tells_state for effect in effects)
+        return replace(self, delay=0.0, follows=True) if by_sensors else self
 
     def _late(self, clock: Clock) -> tuple[int, int, float]:
         """Control periods for which two states are kept, the step of a period at which the older one is, and the share
@@ -75,18 +75,18 @@ class StatedEstimate(Effect):
         noise = (self.position_noise, self.velocity_noise, self.attitude_noise, self.rate_noise)
         return np.tile(start.x, 2 * self._late(start.clock)[0]), noise
 
-    def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
+    def stated(self, sensor_spec: SensorSpec, vehicle: Vehicle) -> SensorSpec:
         """Its noise; its age is stated by nobody, but for a gyroscope that is fresh."""
         prompt = self.gyro == "fresh" and not self.follows
         return replace(
-            sheet,
-            position=noisier(sheet.position, self.position_noise),
-            velocity=noisier(sheet.velocity, self.velocity_noise),
-            attitude=noisier(sheet.attitude, self.attitude_noise),
-            gyroscope=noisier(Stated() if prompt else sheet.gyroscope, self.rate_noise),
+            sensor_spec,
+            position=noisier(sensor_spec.position, self.position_noise),
+            velocity=noisier(sensor_spec.velocity, self.velocity_noise),
+            attitude=noisier(sensor_spec.attitude, self.attitude_noise),
+            gyroscope=noisier(Stated() if prompt else sensor_spec.gyroscope, self.rate_noise),
         )
 
-    def measure(self, at: Readings, told: Told) -> tuple[ca.MX, Told]:
+    def measure(self, at: Readings, measured: Measured) -> tuple[ca.MX, Measured]:
         periods, step, share = self._late(at.clock)
         between = at.states[:, [step, min(step + 1, at.clock.steps)]]
         kept = ca.horzcat(ca.reshape(at.inner, N_STATE, 2 * periods), between)
@@ -96,7 +96,7 @@ class StatedEstimate(Effect):
             x[ATTITUDE] /= ca.norm_2(x[ATTITUDE])
         rate = at.states[:, -1] if self.gyro == "fresh" else x
         if self.follows:
-            x = rate = told["state"]
+            x = rate = measured["state"]
         noise = at.draws * ca.vertcat(*(ca.repmat(std, 3, 1) for std in ca.vertsplit(at.parameters)))
         noisy = ca.vertcat(
             x[POSITION] + noise[:3],
@@ -104,7 +104,7 @@ class StatedEstimate(Effect):
             x[VELOCITY] + noise[3:6],
             rate[RATE] + noise[9:],
         )
-        return ca.vec(kept[:, 2:]), told | {"state": noisy}
+        return ca.vec(kept[:, 2:]), measured | {"state": noisy}
 
     @property
     def idle(self) -> bool:

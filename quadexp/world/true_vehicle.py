@@ -1,9 +1,9 @@
-"""The vehicle that is flown, where it differs from the one that controllers believe in.
+"""The vehicle that is flown, where it differs from the one that controllers assume.
 
 Mass, inertia and centre of mass by factors and an offset c, then a payload of mass m at the point r:
 
     M' = f_M M,   J' = S J S with S = diag(sqrt(f_J))                                  at the centre of mass, moved by c
-    M'' = M' + m,   c'' = (M' c + m r) / M''                                          from the believed centre, body, m
+    M'' = M' + m,   c'' = (M' c + m r) / M''                                          from the assumed centre, body, m
     J'' = J' + M' [c - c''] + m [r - c''],   [d] = |d|^2 I - d d'                        Steiner's theorem
     r_i'' = r_i - c''                                                                    rotors, from the true centre
 
@@ -72,7 +72,7 @@ def coefficient_allocation(vehicle: Vehicle, thrust_factor: float, torque_factor
 
 @keyed
 class TrueVehicle(Effect):
-    """The true vehicle, by factors of the one that controllers believe in.
+    """The true vehicle, by factors of the one that controllers assume.
 
     Parameters: coefficient_allocation (4 n,), column by column.
     """
@@ -82,7 +82,7 @@ class TrueVehicle(Effect):
     mass: float = key(1.0, "factor on the mass", FACTOR)
     inertia: Triple = key((1.0, 1.0, 1.0), "factors on the moments of inertia about x, y, z", FACTOR)
     center_of_mass: Triple = key(
-        ZERO, "where the true centre of mass lies from the believed one, body; rotors stay", "[-1, 1]", "m"
+        ZERO, "where the true centre of mass lies from the assumed one, body; rotors stay", "[-1, 1]", "m"
     )
     thrust_coefficient: float = key(1.0, "factor on the thrust that a rotor gives at a command", FACTOR)
     torque_coefficient: float = key(1.0, "factor on the reaction torque per thrust", "[0, 10]")

@@ -1,6 +1,6 @@
 """A simulated airframe in a world: any plant of quadexp.world with effects around it (see effect.py).
 
-It is flown as the airframe alone is, in one compiled call a control period. What the controller is told of the state is
+It is flown as the airframe alone is, in one compiled call a control period. What the controller is given the state is
 `measured`, which differs from the truth where sensors or an estimator stand between.
 """
 
@@ -17,7 +17,7 @@ from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
 from quadexp.errors import ModelDomainError, QuadexpError, UsageError
 from quadexp.models.residual import Residual
-from quadexp.parts.sensor_sheet import SensorSheet, Stated
+from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.world.composition import WIND, Layout, compose, wind_function
 from quadexp.world.effect import Clock, Effect, Sizes, Start, ordered
 from quadexp.world.integrator import Equations, SimulatedPlant
@@ -39,8 +39,8 @@ class _Prepared(BufferedFunction):
 class World(SimulatedPlant):
     """An airframe with effects, as a Plant; `begin` begins a flight.
 
-    airframe: the plant, made with the true vehicle. effects: in any order. believed: the same plant made with the
-    vehicle that controllers believe in; None: the airframe itself.
+    airframe: the plant, made with the true vehicle. effects: in any order. assumed: the same plant made with the
+    vehicle that controllers assume; None: the airframe itself.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class World(SimulatedPlant):
 
     # ------------------------------------------------------------------------------------------------- a flight begins
     def reset(self) -> None:
-        """What is flown and what is believed; the flight itself begins with `begin`."""
+        """What is flown and what is assumed; the flight itself begins with `begin`."""
         self.airframe.reset()
         self._believed.reset()  # which another flight may have flown
         self.time, self.inner = 0.0, np.empty(0)
@@ -88,25 +88,27 @@ class World(SimulatedPlant):
             stream = part_stream(rng, effect.part)
             begins = [np.asarray(values, float).ravel() for values in effect.start(stream, start)]
             if [len(values) for values in begins] != [sizes.inner, sizes.parameters]:
-                raise QuadexpError(f"{effect.part}: start gives {[len(one) for one in begins]} numbers, sizes {sizes}")
+                raise QuadexpError(
+                    f"{effect.part}: start gives {[len(numbers) for numbers in begins]} numbers, sizes {sizes}"
+                )
             begun[effect.part] = begins[0]
             inner.append(begins[0])
             parameters.append(begins[1])
             streams = sizes.streams or [f"{effect.part} {i}" for i in range(len(sizes.drawn))]
             parts += [(part_stream(rng, name), drawn) for name, drawn in zip(streams, sizes.drawn, strict=True)]
         ends = [layout.ends(kind)[1:] for kind in ("inner", "parameters")]
-        slices = [[slice(*pair) for pair in pairwise(one)] for one in ends]
+        slices = [[slice(*pair) for pair in pairwise(numbers)] for numbers in ends]
         first = layout.airframe.parameters
         self._shares = [
-            (effect, own, slice(theta.start - first, theta.stop - first))
-            for effect, own, theta in zip(self.effects, *slices, strict=True)
+            (effect, effect_states, slice(theta.start - first, theta.stop - first))
+            for effect, effect_states, theta in zip(self.effects, *slices, strict=True)
         ]
         columns = self.columns(period)
-        of = range(self.vehicle.n_rotors) if self.sheet.rotor_speed else ()
+        of = range(self.vehicle.n_rotors) if self.sensor_spec.rotor_speed else ()
         self._rotors = [columns.get(f"est_rotor_speed_{i}", columns.get(f"rotor_speed_{i}", -1)) for i in of]
         self._own_parameters, self.measured = np.concatenate(parameters), start.x.copy()
-        for effect, own in zip(self.effects, inner[1:], strict=True):
-            self.measured = effect.first(own, self.measured)
+        for effect, effect_states in zip(self.effects, inner[1:], strict=True):
+            self.measured = effect.first(effect_states, self.measured)
         self.inner = np.concatenate([*inner, self._first_wind(start, np.concatenate(inner[1:]))])
         return Streams([*self.own_noise(rng, period), *parts], period, duration)
 
@@ -114,18 +116,20 @@ class World(SimulatedPlant):
         if not len(self.inner):
             raise UsageError(
                 "a flight in a world begins with plant.begin(x, period, duration, rng), which returns its noise, for"
-                " plant.advance; plant.measured is what the controller is told"
+                " plant.advance; plant.measured is what the controller is given"
             )
 
-    def _first_wind(self, start: Start, own: np.ndarray) -> np.ndarray:
-        """The wind when the flight begins, but for white noise. own: inner states of the effects."""
+    def _first_wind(self, start: Start, of_effects: np.ndarray) -> np.ndarray:
+        """The wind when the flight begins, but for white noise. of_effects: inner states of the effects."""
         if not any(effect.has("wind") for effect in self.effects):
             return np.zeros(WIND)
         layout, step = self._layout(start.clock), start.clock.step
         if start.clock not in self._winds:
             self._winds[start.clock] = wind_function(self.equations, self.effects, layout, self.vehicle)
         wind = self._winds[start.clock]
-        return np.array(wind(0.0, start.x, own, np.zeros(self.vehicle.n_rotors), self.parameters(step), step)).ravel()
+        return np.array(
+            wind(0.0, start.x, of_effects, np.zeros(self.vehicle.n_rotors), self.parameters(step), step)
+        ).ravel()
 
     def clock(self, period: float) -> Clock:
         """How a control period (s) is divided."""
@@ -194,9 +198,9 @@ class World(SimulatedPlant):
     def safe_equations(self) -> Equations | None:
         return self.airframe.safe_equations
 
-    def check_safe(self, found: dict[str, np.ndarray], step: float) -> None:
+    def check_safe(self, flown: dict[str, np.ndarray], step: float) -> None:
         self.airframe.time = self.time
-        self.airframe.check_safe(found, step)
+        self.airframe.check_safe(flown, step)
 
     # ------------------------------------------------------------------------------------------ what others ask for
     def columns(self, period: float) -> dict[str, int]:
@@ -209,13 +213,13 @@ class World(SimulatedPlant):
 
     def _named_columns(self, clock: Clock) -> dict[str, int]:
         layout = self._layout(clock)
-        found: dict[str, int] = {}
+        columns: dict[str, int] = {}
         for effect, first in zip(self.effects, layout.ends("inner")[1:-1], strict=True):
-            found |= {name: first + place for name, place in effect.columns(clock, self.vehicle).items()}
-        found |= {name: i for i, name in enumerate(self.airframe.inner_columns)}
+            columns |= {name: first + place for name, place in effect.columns(clock, self.vehicle).items()}
+        columns |= {name: i for i, name in enumerate(self.airframe.inner_columns)}
         if any(effect.has("wind") for effect in self.effects):
-            found |= {name: layout.size("inner") + i for i, name in enumerate(WIND_COLUMNS)}
-        return found
+            columns |= {name: layout.size("inner") + i for i, name in enumerate(WIND_COLUMNS)}
+        return columns
 
     @property
     def estimates(self) -> bool:
@@ -223,12 +227,12 @@ class World(SimulatedPlant):
         return any(effect.tells_state for effect in self.effects)
 
     @property
-    def sheet(self) -> SensorSheet:
+    def sensor_spec(self) -> SensorSpec:
         """What the data sheets of its sensors say."""
-        sheet = SensorSheet(rotor_speed=Stated() if self._turning else None)
+        sensor_spec = SensorSpec(rotor_speed=Stated() if self._turning else None)
         for effect in self.effects:
-            sheet = effect.stated(sheet, self.vehicle)
-        return sheet
+            sensor_spec = effect.stated(sensor_spec, self.vehicle)
+        return sensor_spec
 
     @property
     def loop_delay(self) -> float:
@@ -247,9 +251,9 @@ class World(SimulatedPlant):
 
     def residual(self) -> Residual:
         """The airframe's own; it names what it does not know of the world."""
-        found: Residual = self._believed.residual()
+        believed: Residual = self._believed.residual()
         unknown = ", ".join(effect.part for effect in self.effects if effect.names_world)
-        return replace(found, source=f"{found.source}; does not know: {unknown}") if unknown else found
+        return replace(believed, source=f"{believed.source}; does not know: {unknown}") if unknown else believed
 
     @property
     def rotor_speed(self) -> np.ndarray:
@@ -265,5 +269,5 @@ class World(SimulatedPlant):
 
     @property
     def coefficients(self) -> Any:
-        """Of the airframe, for controllers that are told them; AttributeError where it has none."""
+        """Of the airframe, for controllers that are given them; AttributeError where it has none."""
         return self._believed.coefficients

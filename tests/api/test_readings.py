@@ -1,4 +1,5 @@
-"""Numbers that are not finite, in every reading of every controller and remedy: refused or missing, and forgotten."""
+"""Numbers that are not finite, in every reading of every controller and compensation: refused or missing, and
+forgotten."""
 
 import numpy as np
 import pytest
@@ -9,16 +10,19 @@ from quadexp.errors import QuadexpError
 
 LEI_LI = ("vehicle=lei_li", "plant=blade_element")
 ALONE = ("nominal_mpc", "online_mpc", "dfbc", "geometric", "pid", "raptor", "rotorpy_se3")
-SCALES = "observer=disturbance observer.scale_walk=0.005 observer.air_walk=0.01 observer.torque_bandwidth=0 inner=indi"
+SCALES = (
+    "observer=disturbance observer.scale_walk=0.005 observer.air_walk=0.01 observer.torque_bandwidth=0 rate_loop=indi"
+)
 AROUND = {
     "nominal_mpc": (
-        "observer=disturbance", "adaptive=l1", "inner=indi", "delay=prediction delay.time=0.01",
+        "observer=disturbance", "adaptive=l1", "rate_loop=indi", "delay=prediction delay.time=0.01",
         "delay=strapdown delay.time=0.01", SCALES, "remedies=auto",
     ),
     "perfect_mpc": ("observer=wind", "observer=wind delay=prediction motor=states horizon=firm"),
-    "dfbc": ("observer=disturbance", "adaptive=l1", "inner=indi", "delay=prediction delay.time=0.01", "remedies=auto"),
-    "geometric": ("observer=disturbance", "adaptive=l1", "inner=indi", "controller.force_adaptation=1"),
-    "pid": ("adaptive=l1", "inner=indi inner.rate=400"),
+    "dfbc": ("observer=disturbance", "adaptive=l1", "rate_loop=indi", "delay=prediction delay.time=0.01",
+    "remedies=auto"),
+    "geometric": ("observer=disturbance", "adaptive=l1", "rate_loop=indi", "controller.force_adaptation=1"),
+    "pid": ("adaptive=l1", "rate_loop=indi rate_loop.rate=400"),
 }  # fmt: skip
 LOOPS = [
     *[(f"controller={name}",) for name in ALONE],

@@ -20,11 +20,11 @@ CONTROLLERS = {
     "nominal_mpc controller.motor_lag=0.03 controller.distance_limit=0.3": 0.3,
     "nominal_mpc controller.input_hold=deviation controller.attitude_error=body": 0.6,
     "perfect_mpc observer=wind controller.dead_time=0.02 horizon=robust": 0.05,  # large beliefs go by Python
-    "perfect_mpc observer=wind delay=prediction horizon=robust": 0.05,  # what was believed when a step began again
+    "perfect_mpc observer=wind delay=prediction horizon=robust": 0.05,  # what was assumed when a step began again
     "online_mpc controller.residual=[terms]": 0.0,
     "geometric observer=disturbance": 0.6,
     "pid adaptive=l1": 0.6,
-    "dfbc inner=indi inner.rate=300": 0.6,
+    "dfbc rate_loop=indi rate_loop.rate=300": 0.6,
 }
 
 

@@ -29,12 +29,12 @@ LAWS = [f"controller={name}" for name, kind in FILES.parts("controller").items()
 LAWS += ["controller=nominal_mpc", "controller=perfect_mpc", "controller=rls_mpc"]
 LAYERS = [
     f"{group}={name}"
-    for group in ("observer", "adaptive", "inner", "delay")
+    for group in ("observer", "adaptive", "rate_loop", "delay")
     for name, kind in FILES.parts(group).items()
     if kind and issubclass(kind, LayerPart)
 ]
 TOGETHER = [
-    "controller=nominal_mpc observer=disturbance inner=indi observer.torque_bandwidth=0",
+    "controller=nominal_mpc observer=disturbance rate_loop=indi observer.torque_bandwidth=0",
     "controller=perfect_mpc observer=wind delay=strapdown",
     "controller=geometric observer=disturbance delay=prediction",
     "controller=nominal_mpc controller.dead_time=0.03 controller.motor_lead=0.03 adaptive=l1",
@@ -51,7 +51,7 @@ MOST = 1e-6  # m and N: C and Python over a second, rounding amplified by feedba
 
 
 def composed(part: str, *more: str):
-    """The configuration of a short flight with the part: laws by themselves, layers around a law that can be told of a
+    """The configuration of a short flight with the part: laws by themselves, layers around a law that can be given a
     belief."""
     own, part = part.startswith("own "), part.removeprefix("own ")
     return compose([*settings(part), *more], OWN if own else None)
@@ -59,8 +59,8 @@ def composed(part: str, *more: str):
 
 def settings(part: str) -> list[str]:
     inner = part.split() if part.startswith("controller=") else ["controller=geometric", part]
-    if "inner=indi" in part:
-        inner.append("inner.rate=400")
+    if "rate_loop=indi" in part:
+        inner.append("rate_loop.rate=400")
     more = [word for name, words in ELSEWHERE.items() if name in part for word in words]
     path = ["trajectory=ellipse", "trajectory.speed=2", "trajectory.duration=1.5", "controller.allow_unstable=true"]
     return [*inner, *more, *path, "seed=3"]
@@ -88,7 +88,7 @@ class Flown:
         """Commands, (k, n)."""
         commands = []
         for _ in range(periods):
-            u, _ = self.controller.step(self.told(), self.reference.window(self.k))
+            u, _ = self.controller.step(self.inputs(), self.reference.window(self.k))
             commands.append(u)
             self.x, self.reading = self.plant.advance(self.x, u, self.controller.control_period, self.noise)
             self.k += 1
@@ -102,13 +102,13 @@ class TestEach:
         flown = Flown(part)
         flown.go_on(12)
         running = flown.controller.running
-        kept = [memory.now.copy() for memory in running.instant.memory]
+        kept = [memory.now.copy() for memory in running.control_step.memory]
         told = [(flown.told(), flown.reference.window(flown.k))]
         first = [flown.go_on(1)[0]]
         for _ in range(7):
             told.append((flown.told(), flown.reference.window(flown.k)))
             first.append(flown.go_on(1)[0])
-        for memory, values in zip(running.instant.memory, kept, strict=True):
+        for memory, values in zip(running.control_step.memory, kept, strict=True):
             memory.restore(values)
         running.k -= len(told)
         again = [flown.controller.step(*one)[0] for one in told]
@@ -117,7 +117,7 @@ class TestEach:
     def test_what_it_remembers_has_names(self, part):
         flown = Flown(part)
         flown.go_on(3)
-        for memory in flown.controller.running.instant.memory:
+        for memory in flown.controller.running.control_step.memory:
             assert memory.owner and all(memory.sizes) and sum(memory.sizes.values()) == memory.now.size
             for now, after in memory.pairs:
                 np.testing.assert_array_equal(now, after)  # an instant has been committed

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 import quadexp as qx
+from quadexp.control.control_step import InputArrays, run
 from quadexp.control.delivered import DeliveredThrust, SentCommands
-from quadexp.control.instant import Told, run
 
 PERIOD = 0.02
 
 
 def now(delivered, speed=None) -> np.ndarray:
     """The thrusts at an instant with these rotor speeds, (4,), or without."""
-    told = Told(4)
-    told.speed[...], told.turning[0] = 0.0 if speed is None else speed, speed is not None
+    told = InputArrays(4)
+    told.rotor_speed[...], told.rotor_speed_valid[0] = 0.0 if speed is None else speed, speed is not None
     run(delivered.before(told))
     return delivered.thrust
 
@@ -67,7 +67,7 @@ def test_speeds_say_nothing_without_a_coefficient(vehicle):
 
 
 @pytest.mark.parametrize(
-    "settings", ["dfbc", "geometric inner=indi", "nominal_mpc inner=indi", "dfbc observer=disturbance"]
+    "settings", ["dfbc", "geometric rate_loop=indi", "nominal_mpc rate_loop=indi", "dfbc observer=disturbance"]
 )
 def test_speeds_that_say_nothing_change_no_flight(settings):
     """Rotor speeds of a vehicle without a thrust coefficient: every thrust is that of a flight without them."""

@@ -1,4 +1,4 @@
-"""Data sets of flights in worlds: what was delivered, told and known, in several worlds, up to the checkpoint."""
+"""Data sets of flights in worlds: what was delivered, given and known, in several worlds, up to the checkpoint."""
 
 import numpy as np
 import pytest

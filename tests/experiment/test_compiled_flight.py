@@ -320,14 +320,16 @@ class TestWhereItHandsOver:
 
 # Controllers with what is around them, and worlds in which their readings are late, noisy, or of rotor speeds too.
 SPEEDS = ("vehicle.thrust_coefficient=1.2e-5", "actuator=speed_lag_30ms")
-SCALES = "observer=disturbance observer.scale_walk=0.005 observer.air_walk=0.01 observer.torque_bandwidth=0 inner=indi"
+SCALES = (
+    "observer=disturbance observer.scale_walk=0.005 observer.air_walk=0.01 observer.torque_bandwidth=0 rate_loop=indi"
+)
 REMEDIES = {
     "geometric": (),
     "geometric controller.force_adaptation=2": (),
     "pid": (),
     "dfbc": (),
     "dfbc observer=disturbance": SPEEDS,
-    "geometric observer=disturbance inner=indi inner.rate=500 observer.torque_bandwidth=0": (),
+    "geometric observer=disturbance rate_loop=indi rate_loop.rate=500 observer.torque_bandwidth=0": (),
     "perfect_mpc observer=wind": ("wind=gust",),
     "nominal_mpc observer=disturbance observer.scale_walk=0.1 horizon=stiff": ("wind=gust",),
     f"perfect_mpc {SCALES}": SPEEDS,
@@ -344,12 +346,12 @@ REMEDIES = {
     "geometric adaptive=l1": ("truth.mass=1.2",),
     "perfect_mpc observer=wind horizon=firm": ("world=outdoor_breeze",),
     "geometric observer=disturbance": ("world=indoor_mocap",),
-    "nominal_mpc observer=disturbance delay=strapdown inner=indi observer.torque_bandwidth=0": (
+    "nominal_mpc observer=disturbance delay=strapdown rate_loop=indi observer.torque_bandwidth=0": (
         "world=race", "vehicle.thrust_coefficient=1.2e-5", "controller.rate=100",
     ),
-    "nominal_mpc adaptive=l1 inner=indi inner.rate=300 controller.rate=100": ("truth.mass=1.2",),
-    "perfect_mpc inner=indi inner.rate=300 controller.rate=100": ("sensor=lei_li",),
-    "nominal_mpc inner=indi observer=disturbance observer.torque_bandwidth=0 controller.rate=100": (
+    "nominal_mpc adaptive=l1 rate_loop=indi rate_loop.rate=300 controller.rate=100": ("truth.mass=1.2",),
+    "perfect_mpc rate_loop=indi rate_loop.rate=300 controller.rate=100": ("sensor=lei_li",),
+    "nominal_mpc rate_loop=indi observer=disturbance observer.torque_bandwidth=0 controller.rate=100": (
         *SPEEDS, "sensor=high", "sensor.rotor_speed_jitter=0.005", "sensor.rotor_speed_drop=0.1",
         "sensor.rotor_speed_rate=250", "sensor.accelerometer_vibration=[0.5,0.5,0.5]", "estimator.delay=0.003",
         "sensor.accelerometer_cutoff=80", "sensor.gyroscope_cutoff=80", "sensor.pose_rate=90",
@@ -431,7 +433,7 @@ class TestWhatItCovers:
         class Named(MotorLagPlant):
             @property
             def rotor_speed(self):
-                return 100.0 + self.inner
+                return 100.0 + self.wrapped
 
         assert covers(MotorLagPlant(vehicle, **LAGGING), mpc(vehicle), np.random.default_rng(0))
         assert not covers(Named(vehicle, **LAGGING), mpc(vehicle), np.random.default_rng(0))

@@ -315,7 +315,7 @@ class TestPackages:
 
 
 SOURCES = {
-    "parts/sensor_sheet.py": "all",
+    "parts/sensor_spec.py": "all",
     "physics/rigid_body.py": "all",
     "experiment/flight.c": "all",
     "report/metrics.py": "all",

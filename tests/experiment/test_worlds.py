@@ -186,7 +186,7 @@ HUMMINGBIRD, LEI_LI = ["vehicle=hummingbird"], ["vehicle=lei_li", "plant=blade_e
         "controller=pid",
         "controller=dfbc observer=disturbance",
         "controller=geometric controller.force_adaptation=8 controller.torque_adaptation=60 adaptive=l1",
-        "controller=nominal_mpc delay=strapdown delay.time=0.03 inner=indi",
+        "controller=nominal_mpc delay=strapdown delay.time=0.03 rate_loop=indi",
         "controller=perfect_mpc observer=wind controller.dead_time=0.02",
         "controller=rls_feedback vehicle=lei_li plant=blade_element",
         "controller=rls_mpc vehicle=lei_li plant=blade_element",
@@ -204,12 +204,12 @@ def test_a_controller_s_second_flight_is_its_first(settings):
 @pytest.mark.parametrize(
     ("first", "then"),
     [
-        # What is believed of the plant is flown itself where it is the true one; its payload grows in flight.
+        # What is assumed of the plant is flown itself where it is the true one; its payload grows in flight.
         (["controller=perfect_mpc"], ["controller=perfect_mpc", "truth.mass=1.05"]),
         # The margins of a loop are those without what its observer found in the flight before.
         (["external=push", "external.onset=0", "external.force=[4,2,-5]", *OBSERVED], ["link=latency", *OBSERVED]),
     ],
-    ids=["believed plant", "margins under an observer"],
+    ids=["assumed plant", "margins under an observer"],
 )
 def test_a_flight_is_the_same_after_another(first, then):
     given = [*LEI_LI, *IN_MOTION, "trajectory.duration=0.3", "plant.schedule=[{t: 0.1, payload: 0.4}]"]

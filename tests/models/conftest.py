@@ -1,6 +1,6 @@
 import pytest
 
-from quadexp.plugins.gaussian_process.gaussian_process import GPConfig, GPModel, fit_gp
+from quadexp.plugins.gaussian_process.gaussian_process import GaussianProcessModel, GPConfig, fit_gp
 from tests.models.synthetic import synthetic_dataset
 
 
@@ -10,5 +10,5 @@ def dataset():
 
 
 @pytest.fixture(scope="session")
-def model(dataset) -> GPModel:
+def model(dataset) -> GaussianProcessModel:
     return fit_gp(dataset, GPConfig(inducing=8, mean="linear_drag", max_iterations=8))

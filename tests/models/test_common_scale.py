@@ -1,4 +1,5 @@
-"""The thrust scale of each flight is told apart from the lift and the drag of the speed it was flown at."""
+"""The thrust scale of each flight is significantly different from the lift and the drag of the speed it was flown
+at."""
 
 import numpy as np
 import pytest

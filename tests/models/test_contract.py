@@ -7,14 +7,16 @@ import pytest
 from quadexp.models.base import AXIS
 from quadexp.models.checkpoint import load_model, plain, record_of, save_model
 from quadexp.models.linear_drag import DragConfig, LinearDrag
-from quadexp.plugins.gaussian_process.gaussian_process import GPConfig, GPModel
+from quadexp.plugins.gaussian_process.gaussian_process import GaussianProcessModel, GPConfig
 from quadexp.plugins.neural.neural import NeuralModel, NNConfig
 from tests.models.synthetic import synthetic_dataset
 from tests.models.test_dataset import VEHICLE
 
 SETTINGS = {
     LinearDrag: DragConfig(),
-    GPModel: GPConfig(inducing=5, max_iterations=5, mean="quadratic", features={"a_x": ("v_x",), "tau_y": ("w_y",)}),
+    GaussianProcessModel: GPConfig(
+        inducing=5, max_iterations=5, mean="quadratic", features={"a_x": ("v_x",), "tau_y": ("w_y",)}
+    ),
     NeuralModel: NNConfig(hidden=(4,), max_iterations=5),
 }
 FEATURES = ["v_x", "v_y", "v_z", "w_x", "w_y", "w_z", "u_0", "u_1", "u_2", "u_3"]

@@ -86,7 +86,7 @@ def test_intervals_cover_the_best_line_where_the_drag_is_not_linear(loss, flight
         data = synthetic_dataset(rows=flights * 150, flights=flights, seed=seed)
         fit = fit_linear_drag(data, loss=loss)
         inside.append(np.abs(fit.parameters - truth) < fit.half_width)
-    # 180 drag coefficients: one standard deviation of a share of .95 is .016, of all that a share below .9 is 3 away
+    # 180 drag coefficients: one standard deviation of a share of 0.95 is 0.016, of all that a share below 0.9 is 3 away
     assert np.mean([held[:3] for held in inside]) > 0.9 and np.mean(inside) > 0.92
 
 
@@ -109,7 +109,7 @@ def test_one_flight_has_no_interval_and_says_so():
 
 
 def test_what_one_flight_alone_tells_has_no_interval():
-    """Two flights, of which one hovers: without the other no drag can be told."""
+    """Two flights, of which one hovers: without the other no drag can be given."""
     rows = linear_rows(flights=2)
     still = {name: np.where(rows.columns["flight"] == 1, 0.0, rows.columns[name]) for name in ("v_x", "v_y", "v_z")}
     fit = fit_linear_drag(ResidualDataset(dict(rows.columns) | still, {}))
@@ -122,7 +122,7 @@ def test_few_or_idle_rows_are_refused():
     assert np.isfinite(fit_linear_drag(linear_rows(rows=5, flights=1)).parameters).all()
     idle = linear_rows()
     still = ResidualDataset(dict(idle.columns) | {"v_z": np.full(600, 1.0)}, {})
-    with pytest.raises(DataError, match="a_z: v_z, intercept cannot be told apart"):
+    with pytest.raises(DataError, match="a_z: v_z, intercept cannot be distinguished"):
         fit_linear_drag(still)
 
 

@@ -74,7 +74,7 @@ def test_huber_is_not_bent_by_outliers(rng):
 def test_columns_that_cannot_be_told_apart_are_named(rng):
     design, target, flight = draw(rng)
     same = np.column_stack([design, design[:, 0] + 1e-6 * rng.normal(size=len(design))])
-    with pytest.raises(DataError, match=r"thrust: d, c cannot be told apart in these flights \(condition number"):
+    with pytest.raises(DataError, match=r"thrust: d, c cannot be distinguished in these flights \(condition number"):
         regress(same, target, ("d", "b", "c"), flight, flight, what="thrust")
     with pytest.raises(DataError, match="c is zero in all samples"):
         regress(np.column_stack([design, 0 * target]), target, ("d", "b", "c"), flight, flight, what="thrust")

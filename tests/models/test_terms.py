@@ -161,7 +161,9 @@ def test_truth_is_inside_at_the_nominal_rate(lei_li, air, rng):
 
 def test_hovering_data_show_no_loss(lei_li, rng):
     velocity, rotors = 1e-3 * rng.normal(size=(200, 3)), np.full((200, 4), 9.81 / 4) + 0.1 * rng.normal(size=(200, 4))
-    with pytest.raises(DataError, match="do not show that flow through the rotors costs thrust|cannot be told apart"):
+    with pytest.raises(
+        DataError, match="do not show that flow through the rotors costs thrust|cannot be distinguished"
+    ):
         fit = fit_inflow(velocity, rotors, 0.3 * velocity[:, 2], 2.0)
         flight = np.zeros(200, int)
         regress(fit.design, fit.target, Z_TERMS, flight, flight, what="z")

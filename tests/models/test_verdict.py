@@ -77,7 +77,7 @@ def test_too_few_held_out_flights_are_called_that_and_what_would_do(flights, of,
 
 @pytest.mark.parametrize("memory", [0, 1], ids=["white", "derivative"])
 def test_noise_is_found_below_a_slow_effect(memory):
-    """White noise of .05 (or that of a differentiated velocity, which errs against its neighbour) below a slow .3."""
+    """White noise of 0.05 (or that of a differentiated velocity, which errs against its neighbour) below a slow 0.3."""
     rng, k = np.random.default_rng(2), 20_000
     white = rng.normal(size=k + 1)
     noise = 0.05 * (white[1:] if memory == 0 else (white[1:] - white[:-1]) / np.sqrt(2))

@@ -12,7 +12,7 @@ from quadexp.parts.schema import world_parts
 from quadexp.parts.settings import record
 from tests.parts.test_compose import hydra_composes
 
-# No part, all of them, a few, one; values of a part, of the vehicle, and of what is told late.
+# No part, all of them, a few, one; values of a part, of the vehicle, and of what is given late.
 OF_EVERY_SHAPE = ("clean", "everything", "only_wind", "sun_com_10", "sun_late_50")
 QUICK = ["experiment=quick", "controller=gp_mpc"]
 FILES = OptionFiles()

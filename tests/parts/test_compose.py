@@ -70,7 +70,7 @@ def test_files_are_joined_as_hydra_joins_them(overrides):
 def test_none_is_a_word_of_every_group_that_can_be_absent():
     """It is what config.yaml takes, whatever its word there is."""
     with session() as composer:
-        idle = [name.split("/") for name, entry in OptionFiles().entries.items() if entry.sheet.stem == NOTHING]
+        idle = [name.split("/") for name, entry in OptionFiles().entries.items() if entry.option_file.stem == NOTHING]
         assert len(idle) > 15
         for group, word in idle:
             assert word == CHOSEN[group]
@@ -258,7 +258,7 @@ class TestAlternatives:
     """Controllers with what is around each of them, in one list."""
 
     def test_each_brings_its_own_settings(self):
-        given = "controller=nominal_mpc,dfbc inner=indi inner.cutoff=8,pid adaptive=l1"
+        given = "controller=nominal_mpc,dfbc rate_loop=indi rate_loop.cutoff=8,pid adaptive=l1"
         cells = [cell.config for cell in expand([given, "trajectory.speed=4,8"])]
         found = {(c.controller.name, c.inner.name, c.adaptive.name, c.trajectory.speed) for c in cells}
         assert len(cells) == 6 and found == {
@@ -269,15 +269,15 @@ class TestAlternatives:
         assert {c.inner.cutoff for c in cells if c.inner.name == "indi"} == {8.0}
 
     def test_of_an_experiment_too(self):
-        cells = [cell.config for cell in expand(["experiment=quick", "controller=pid,dfbc inner=indi"])]
+        cells = [cell.config for cell in expand(["experiment=quick", "controller=pid,dfbc rate_loop=indi"])]
         assert {c.controller.name for c in cells} == {"pid", "dfbc"} and len(cells) % 2 == 0
 
     @pytest.mark.parametrize(
         ("given", "said"),
         [
-            ("controller=pid,dfb inner=indi", "controller=dfb: no such controller; did you mean dfbc"),
+            ("controller=pid,dfb rate_loop=indi", "controller=dfb: no such controller; did you mean dfbc"),
             ("controller=pid,dfbc iner=indi", "iner: no such key"),
-            ("controller=pid,dfbc inner=indy", "inner=indy: no such inner"),
+            ("controller=pid,dfbc rate_loop=indy", "rate_loop=indy: no such inner"),
             ("controller=pid,dfbc adaptive=l1", "adaptive is given beside it too"),
         ],
     )

@@ -66,7 +66,7 @@ def test_a_word_is_looked_for_in_options_keys_and_meanings():
     found = [one.get("option") or one["key"] for one in listed("delay")]
     assert "delay=strapdown" in found and "estimator.delay" in found and "sensor.pose_delay" in found
     found = [one.get("option") or one["key"] for one in listed("dead_time")]
-    assert "motor=dead_time" in found and "controller.dead_time" in found and "inner.dead_time" in found
+    assert "motor=dead_time" in found and "controller.dead_time" in found and "rate_loop.dead_time" in found
     with pytest.raises(UsageError, match="no group, option or key has this word"):
         listed("zzz")
     with pytest.raises(UsageError, match="wind=guts: no such wind; did you mean gust"):

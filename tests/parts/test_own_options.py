@@ -57,7 +57,7 @@ COVERED = [case for group in PARTS if (case := number_of(group))]
 
 @pytest.mark.parametrize(("group", "option", "key"), COVERED)
 def test_an_option_of_every_group_comes_first_and_extends_the_one_that_it_covers(group, option, key, folder):
-    """As a file and as an entry of a sheet."""
+    """As a file and as an entry of an option file."""
     shipped = getattr(compose([f"{group}={option}"]), group)
     value = 0.9 * getattr(shipped, key)
     as_file = folder(f"{group}/{option}", f"defaults: [{option}, _self_]\n{key}: {value}\n")

@@ -19,7 +19,7 @@ SAME = (
         "controller=pid delay=prediction timing.age=0.02 timing.dead_time=0.01",
         "controller=pid delay=prediction delay.time=0.02 delay.dead_time=0.01",
     ),
-    ("controller=dfbc inner=indi timing.motor_lag=0.03", "controller=dfbc inner=indi inner.motor_lag=0.03"),
+    ("controller=dfbc rate_loop=indi timing.motor_lag=0.03", "controller=dfbc rate_loop=indi rate_loop.motor_lag=0.03"),
     (
         "controller=pid observer=disturbance timing.dead_time=0.01",
         "controller=pid observer=disturbance observer.dead_time=0.01",

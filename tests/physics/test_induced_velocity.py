@@ -188,7 +188,8 @@ def test_the_largest_of_all_roots_and_whether_it_is_the_only_one(lei_li, rng):
 
 
 def test_where_there_is_no_model(lei_li):
-    """A rotor at rest needs air at rest, from whichever side it comes; numbers that are none are told apart."""
+    """A rotor at rest needs air at rest, from whichever side it comes; numbers that are none are significantly
+    different."""
     status = solution_function(lei_li.rotor)
     for squared, axial in ((0.3, 0), (0, 0.3), (0, -0.3)):
         assert status(3.32, 0, squared, axial)[1] == Defined.STOPPED

@@ -51,7 +51,7 @@ AROUND: dict[str, tuple[tuple[str, ...], ...]] = {
         ("disturbance", "observer.torque_bandwidth=0"), ("disturbance", "observer.source=velocity"),
     ),
     "adaptive": (("l1",), ("l1", "adaptive.unmatched=false")),
-    "inner": (("indi",), ("indi", "inner.rate=200")),
+    "rate_loop": (("indi",), ("indi", "rate_loop.rate=200")),
     "delay": (("strapdown", "delay.time=0.02"), ("prediction", "delay.time=0.02")),
     "truth": (("nominal", "truth.mass=1.05"), ("nominal", "truth.inertia=[0.9,1,1]"), ("nominal", "truth.drag=1.5")),
     "payload": (("fixed", "payload.mass=0.01"), ("slung", "payload.mass=0.01", "payload.stretch=0.1")),

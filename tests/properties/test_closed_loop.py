@@ -3,7 +3,7 @@
 Under a turn of the world the feedback controller is exact where it takes nothing from the past (its compensation starts
 from R_d = I, which has a heading), the predictive controller where its cost is: with the attitude error in the body
 frame, or with one weight on all four components of the plain difference of quaternions. The paper's weights
-(0, .1, .1, .1) on the plain difference know a heading, because a turn mixes its components.
+(0, 0.1, 0.1, 0.1) on the plain difference know a heading, because a turn mixes its components.
 """
 
 from dataclasses import replace

@@ -174,7 +174,7 @@ def test_signs_of_attitude_and_rates(vehicle, yaw):
 
 
 def test_turning_on_the_spot(vehicle):
-    """Level, yaw rate 0.5 and acceleration 0.2: w = (0, 0, .5), yaw torque J_zz .2, quaternion about z."""
+    """Level, yaw rate 0.5 and acceleration 0.2: w = (0, 0, 0.5), yaw torque J_zz 0.2, quaternion about z."""
     reference = flat_reference(Straight((0, 0, 0), yaw=(1.0, 0.5, 0.2)), [1.0], vehicle)
     np.testing.assert_allclose(reference.state[0, ATTITUDE], [np.cos(0.5), 0, 0, np.sin(0.5)], atol=1e-12)
     np.testing.assert_allclose(reference.state[0, RATE], [0, 0, 0.5], atol=1e-12)

@@ -51,7 +51,8 @@ def test_a_flyable_reference_has_nothing_to_report(vehicle):
 
 
 def test_worst_thrust_of_a_circle(vehicle):
-    """Hardly any inertia: each rotor gives m sqrt(g^2 + (V^2/r)^2) / 4, most at the peak V = v + .273 a at t = 10 s."""
+    """Hardly any inertia: each rotor gives m sqrt(g^2 + (V^2/r)^2) / 4, most at the peak V = v + 0.273 a at t = 10
+    s."""
     tiny = tuple(tuple(1e-7 * v for v in row) for row in vehicle.inertia)
     light = replace(vehicle, inertia=tiny, thrust_max=4.0)
     circle = Circle(speed=8.0, radius=5.0)

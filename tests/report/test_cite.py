@@ -33,7 +33,7 @@ def test_every_controller_of_the_literature_states_its_paper():
     ("words", "papers"),
     [
         (("controller=geometric",), {"lee2010", "torrente2021"}),
-        (("controller=dfbc", "inner=indi"), {"sun2022", "smeur2016", "torrente2021"}),
+        (("controller=dfbc", "rate_loop=indi"), {"sun2022", "smeur2016", "torrente2021"}),
         (("controller=nominal_mpc", "adaptive=l1", "wind=dryden"), {"torrente2021", "hanover2022", "milf8785c"}),
     ],
 )

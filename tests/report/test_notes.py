@@ -49,7 +49,7 @@ def test_several_versions_of_the_program():
 
 
 def test_commands_that_change_far_more_with_auto_are_named():
-    """A13: three to four times in the median, and nobody was told."""
+    """A13: three to four times in the median, and nobody was given."""
 
     def pairs(factor):
         alone = [row("geometric", seed=s) | {"command_change": 0.02, "charge_used": 0.1} for s in range(3)]

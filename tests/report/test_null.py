@@ -125,7 +125,8 @@ def test_any_false_difference_from_the_baseline(tables, seeds, pattern, shape):
 
 @pytest.mark.parametrize(("tables", "seeds", "cells"), cases([(2, 1), (6, 4)], [(s, c) for s in SEEDS for c in (1, 4)]))
 def test_a_leaderboard(tables, seeds, cells):
-    """Two equal entries: told apart in 5 % at most, and the mean rank in its interval where there is one."""
+    """Two equal entries: significantly different in 5 % at most, and the mean rank in its interval where there is
+    one."""
     rng, apart, stated, missed = np.random.default_rng([seeds, cells]), 0, 0, 0
     for _ in range(tables):
         shared = rng.normal(size=(2, seeds, 1))

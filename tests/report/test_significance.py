@@ -140,7 +140,7 @@ def test_joint_p_and_holm_by_hand():
     assert sign_flips([[1.0, 2.0, 3.0]])[0][0] == 0.25
     alone, joint, _ = sign_flips([[1.0, 2.0, 4.0], [1.0, -2.0, 4.0]])
     assert alone.tolist() == [0.25, 0.75] and joint.tolist() == [0.5, 1.0]
-    # A pair leaves the count once all of its lines are rejected: 2 x .02 for the first, 1 x .03 for the second one.
+    # A pair leaves the count once all of its lines are rejected: 2 x 0.02 for the first, 1 x 0.03 for the second one.
     assert holm(np.array([[0.01, 0.02], [0.03, 0.5]])).tolist() == [[0.02, 0.04], [0.04, 0.5]]
 
 

@@ -1,4 +1,4 @@
-"""A controller looks the same in every figure, and can be told from the others, with and without colour vision;
+"""A controller looks the same in every figure, and can be given from the others, with and without colour vision;
 logarithmic axes have plain numbers."""
 
 from itertools import combinations

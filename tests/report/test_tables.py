@@ -144,12 +144,12 @@ class TestIntervals:
         latex = table.latex()
         assert rf"\textbf{{{mean}}} {text}$^*$" in latex and r"flown &  & 6 of 7 & 7 of 7 \\" in latex
         assert r"trajectory & m/s & nominal\_mpc" in latex and r"\multicolumn{2}{c}{mean error (mm)}" in latex
-        assert r"\*: told apart from the baseline;" in table.markdown()
+        assert r"\*: significantly different from the baseline;" in table.markdown()
         mean_note, test, *_ = table.notes
         assert (
             mean_note == "mean over the flights of a line that all completed, of 7 seeds [95 % interval: Student's t]"
         )
-        assert test.startswith("bold: the least of its line, told apart from every other there (p < 0.05)")
+        assert test.startswith("bold: the least of its line, significantly different from every other there (p < 0.05)")
 
     def test_a_controller_that_loses_flights_is_not_the_best_and_who_has_the_larger_error_is_not_either(self):
         rows = [row(seed=seed, error=0.2) for seed in range(4)]

@@ -49,7 +49,7 @@ def test_the_ratio_by_hand():
 
 
 def test_the_choice_among_k_is_paid_for():
-    """One and the same pair of errors: told apart when there are two, not any more among many."""
+    """One and the same pair of errors: significantly different when there are two, not any more among many."""
     rng = np.random.default_rng(0)
     base = np.exp(0.1 * rng.normal(size=6))
     ratios = np.exp(np.array([0.04, 0.05, 0.06, 0.10, 0.02, 0.05]))

@@ -1,4 +1,4 @@
-"""An hour of hover: nothing that a controller or a remedy remembers drifts, winds up or ends.
+"""An hour of hover: nothing that a controller or a compensation remembers drifts, winds up or ends.
 
 python -m pytest -m slow -n auto tests/stress/test_an_hour.py
 """

@@ -45,7 +45,7 @@ def test_losses_ratios_and_bands_are_counted():
     lines = summary(records)
     for line in (
         "| lost without | 2 |", "| lost with auto | 1 |", "| lost with auto, not without | 0 |",
-        "| lost with auto, perfect_mpc told all flies | 1 |", "| better than without, of 3 | 0.667 |",
+        "| lost with auto, perfect_mpc given all flies | 1 |", "| better than without, of 3 | 0.667 |",
         "| ratio to without: geometric mean | 1.000 |", "| force | 0.667 |",
     ):  # fmt: skip
         assert line in lines

@@ -30,13 +30,13 @@ def written(folder, **files):
 TWO_OF_ONE_NAME = {
     "controllers": (["controller=pid,geometric", "controller.name=ours", *SHORT],
                     ["ours option=pid", "ours option=geometric"]),
-    "options of a remedy": (
+    "options of a compensation": (
         ["controller=nominal_mpc", "observer=wind,disturbance", "observer.name=ours", *SHORT],
         ["nominal_mpc+ours option=wind", "nominal_mpc+ours option=disturbance"],
     ),
     "horizons": (["controller=nominal_mpc", "horizon=published,precise"],
                  ["nominal_mpc horizon=published", "nominal_mpc horizon=precise"]),
-    "settings of a remedy": (["observer=wind", "observer.wind_walk=1.5,3"],
+    "settings of a compensation": (["observer=wind", "observer.wind_walk=1.5,3"],
                              ["nominal_mpc+wind wind_walk=1.5", "nominal_mpc+wind wind_walk=3"]),
 }  # fmt: skip
 

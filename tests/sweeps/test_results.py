@@ -117,7 +117,7 @@ class TestPrune:
         fly(expand(["seed=9"]), flown, force=True)
         said = prune(flown)
         assert len(said.keys) == 12 and said.size > 0 and not said.removed
-        assert len(CellStore(flown).done()) == 13, "nothing goes without being told"
+        assert len(CellStore(flown).done()) == 13, "nothing goes without being given"
         assert prune(flown, remove=True).removed
         assert len(CellStore(flown).done()) == 1 == len(select(flown).rows)
         assert fly(expand(["seed=9"]), flown).flown == 0

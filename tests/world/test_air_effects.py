@@ -54,7 +54,7 @@ def test_a_heavier_vehicle_hovers_on_its_weight(settled, factor):
 
 
 def test_off_its_centre_of_mass_it_hovers_without_torque(settled):
-    """The rotors' torque about the true centre of mass is zero, and far from it about the believed one."""
+    """The rotors' torque about the true centre of mass is zero, and far from it about the assumed one."""
     vehicle, u, _, _ = settled("truth.center_of_mass=[0.02,-0.01,0]", "truth.inertia=[1.1,0.9,1]")
     true = with_factors(vehicle, 1.0, np.ones(3), np.array([0.02, -0.01, 0.0]))
     assert np.abs(true.allocation[1:] @ u).max() < 2e-3

@@ -35,7 +35,7 @@ class Shaken(Effect):
 
 
 def readings(vehicle, sensors, frequency, rate, steps, seconds):
-    """Times (s), specific force along x and rate about z that are told at the ends of periods in open loop."""
+    """Times (s), specific force along x and rate about z that are given at the ends of periods in open loop."""
     world = World(ideal(vehicle, step=1 / rate / steps), [Shaken(frequency=frequency), sensors])
     noise, x, rows = world.begin(REST, 1 / rate, seconds, np.random.default_rng(0)), REST, []
     for k in range(round(seconds * rate)):
@@ -72,7 +72,7 @@ def test_a_ramp_is_as_late_as_the_data_sheet_states(vehicle, rate, steps):
     passed = readings(vehicle, sensors, 0.0, rate, steps, 0.3)
     slopes = (exact[1:, -1] - exact[1:, -2]) * rate
     ages = (exact[1:, -1] - passed[1:, -1]) / slopes
-    stated = [sensor.delay for sensor in (world.sheet.accelerometer, world.sheet.gyroscope)]
+    stated = [sensor.delay for sensor in (world.sensor_spec.accelerometer, world.sensor_spec.gyroscope)]
     assert ages == pytest.approx(stated, rel=1e-3) and stated[0] == group_delay(CUTOFF)
 
 

@@ -10,12 +10,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from quadexp.control.part import Remedy
+from quadexp.control.part import Compensation
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_controller, build_vehicle, build_world, sensor_sheet
+from quadexp.experiment.build import build_controller, build_vehicle, build_world, sensor_spec_of
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
-from quadexp.parts.sensor_sheet import SensorSheet, Stated
+from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.telegram import dshot_speed, in_steps
 from quadexp.plugins.worlds.battery import Battery
@@ -65,7 +65,7 @@ def allan_variance(values, cluster):
 
 
 def test_numbers_of_the_paper():
-    """B_accel = (.001, -.001, .001) in FRD, deviation .05 m/s^2 (Lei & Li 2017, equation 22)."""
+    """B_accel = (0.001, -.001, 0.001) in FRD, deviation 0.05 m/s^2 (Lei & Li 2017, equation 22)."""
     lei_li = compose(["sensor=lei_li"]).sensor
     assert paper.flip(lei_li.accelerometer_bias) == pytest.approx([0.001, -0.001, 0.001])
     assert lei_li.accelerometer_noise == (0.05, 0.05, 0.05)
@@ -209,7 +209,7 @@ def test_a_reading_waits_for_the_next_one(vehicle):
 
 
 def test_losses_and_overtaking_by_a_list_of_messages(vehicle):
-    """The newest that has arrived is told: by an event list in plain Python, from the same draws."""
+    """The newest that has arrived is given: by an event list in plain Python, from the same draws."""
     delay, jitter, drop, rate = 0.004, 0.07, 0.3, 60.0
     sensors = Sensors(rotor_speed_rate=rate, rotor_speed_delay=delay, rotor_speed_jitter=jitter, rotor_speed_drop=drop)
     flight = flown(vehicle, sensors, 20.0, seed=3)
@@ -298,14 +298,14 @@ def test_the_low_passs_attenuation_and_phase(ratio):
 def test_rotors_that_are_not_all_measured_are_told_to_nobody(vehicle):
     flight = flown(vehicle, Sensors(rotor_speed_of=(0, 2)), 0.1)
     assert "est_rotor_speed_2" in flight and "est_rotor_speed_1" not in flight
-    assert not hasattr(flight["world"], "rotor_speed") and flight["world"].sheet.rotor_speed is None
+    assert not hasattr(flight["world"], "rotor_speed") and flight["world"].sensor_spec.rotor_speed is None
     assert hasattr(flown(vehicle, Sensors(rotor_speed_of=(3, 2, 1, 0)), 0.1)["world"], "rotor_speed")
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (["sensor.rotor_speed_of=[4]", *TURNING], "sensor.rotor_speed_of=.4.: vehicle=torrente has rotors 0 to 3"),
+        (["sensor.rotor_speed_of=[4]", *TURNING], "sensor.rotor_speed_of=0.4.: vehicle=torrente has rotors 0 to 3"),
         (["sensor.accelerometer_vibration=[1,0,0]"], "sensor.accelerometer_vibration=.*: no speeds of rot"),
         (["sensor.battery_noise=0.1"], "sensor.battery_..: there is no battery here"),
         (["sensor.pose_rate=8000", "controller.rate=20"], "sensor.pose_rate=8000: 400 readings in a control period"),
@@ -324,7 +324,7 @@ OPTIONS = ("low", "high", "mocap_room", "gnss_quad", "race_dshot", "race_serial"
 @pytest.mark.usefixtures("unmeasured")
 @pytest.mark.parametrize("option", OPTIONS)
 def test_every_option_flies_with_speeds_of_rotors_and_without(option):
-    """Without speeds nothing is told of them, and no telemetry is refused."""
+    """Without speeds nothing is given them, and no telemetry is refused."""
     given = ["trajectory=hover", "trajectory.duration=1.5", "controller=nominal_mpc", f"sensor={option}"]
     flights = [fly_one(compose([*given, *more])) for more in ([], TURNING)]
     assert all(flight.outcome == "ok" for flight in flights)
@@ -332,42 +332,40 @@ def test_every_option_flies_with_speeds_of_rotors_and_without(option):
     assert not told[0] and bool(told[1]) == (option in ("low", "high", "race_dshot", "race_serial"))
 
 
-def sheet_of(*overrides):
+def spec_of(*overrides):
     config = compose(overrides)
     vehicle = build_vehicle(config.vehicle)
-    return sensor_sheet(build_world(config, vehicle))
+    return sensor_spec_of(build_world(config, vehicle))
 
 
 def test_the_data_sheet_says_what_is_set_and_no_more():
-    exact = sheet_of()
+    exact = spec_of()
     assert exact.accelerometer == Stated() and exact.rotor_speed is None and exact.position == Stated(delay=None)
-    sheet = sheet_of("sensor=high", "vehicle=sun", "plant=sun", "world=sun_late_30")
-    assert sheet.accelerometer == Stated(noise=0.5) and sheet.rotor_speed == Stated(noise=0.02, delay=0.01)
-    assert sheet.position == Stated(noise=0.005, delay=None)  # the age of 30 ms is no sensor's
-    assert sheet.gyroscope == Stated(noise=0.05)  # told as fresh
-    wrong = sheet_of("sensor=high", "vehicle=sun", "plant=sun", "world=sun_baseline", "sensor.sheet_factor=3")
+    sensor_spec = spec_of("sensor=high", "vehicle=sun", "plant=sun", "world=sun_late_30")
+    assert sensor_spec.accelerometer == Stated(noise=0.5) and sensor_spec.rotor_speed == Stated(noise=0.02, delay=0.01)
+    assert sensor_spec.position == Stated(noise=0.005, delay=None)  # the age of 30 ms is no sensor's
+    assert sensor_spec.gyroscope == Stated(noise=0.05)  # given as fresh
+    wrong = spec_of("sensor=high", "vehicle=sun", "plant=sun", "world=sun_baseline", "sensor.sheet_factor=3")
     assert wrong.rotor_speed == Stated(noise=pytest.approx(0.06), delay=pytest.approx(0.03))
-    late = sheet_of(
-        "sensor.pose_delay=0.01", "sensor.pose_jitter=0.004", "sensor.pose_rate=100", "estimator.delay=0.02"
-    )
+    late = spec_of("sensor.pose_delay=0.01", "sensor.pose_jitter=0.004", "sensor.pose_rate=100", "estimator.delay=0.02")
     assert late.velocity == Stated(rate=100.0, delay=pytest.approx(0.012)) and late.gyroscope.delay is None
-    stated = sheet_of("estimator.position_noise=0.03", "sensor.position_noise=[0.04,0.01,0]")
+    stated = spec_of("estimator.position_noise=0.03", "sensor.position_noise=[0.04,0.01,0]")
     assert stated.position.noise == pytest.approx(0.05)
-    means = sheet_of("world=indoor_mocap")  # an IMU's readings are means; as many in a control period as are whole
+    means = spec_of("world=indoor_mocap")  # an IMU's readings are means; as many in a control period as are whole
     for sensor in (means.accelerometer, means.gyroscope):
         assert sensor.span == 1 / 200 and sensor.within(0.02) == 0.005 and sensor.within(1 / 300) == 1 / 300
     assert exact.accelerometer.within(0.02) == 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Looking(Remedy):
-    """A remedy that keeps the sheets that it is given, and changes nothing."""
+class Looking(Compensation):
+    """A compensation that keeps the specifications that it is given, and changes nothing."""
 
     prefix = "delay."
-    seen: ClassVar[list[SensorSheet]] = []
+    seen: ClassVar[list[SensorSpec]] = []
 
-    def put_around(self, controller, given):
-        self.seen.append(given.sheet)
+    def put_around(self, controller, context):
+        self.seen.append(context.sensor_spec)
         return controller
 
 
@@ -376,7 +374,7 @@ def test_a_remedy_is_given_the_data_sheet():
     vehicle = build_vehicle(config.vehicle)
     plant = build_world(config, vehicle)
     build_controller(config, vehicle, plant, None)
-    assert Looking.seen == [plant.sheet] and plant.sheet.velocity == Stated(noise=0.03, delay=None)
+    assert Looking.seen == [plant.sensor_spec] and plant.sensor_spec.velocity == Stated(noise=0.03, delay=None)
 
 
 def test_records_of_earlier_versions_are_those_of_today():
@@ -388,4 +386,4 @@ def test_records_of_earlier_versions_are_those_of_today():
     changed = compose(["sensor.gyroscope_noise=0.1"]).sensor.recorded()
     assert changed["gyroscope_noise"] == 0.1 and len(changed) == 4
     assert compose(["sensor=lei_li"]).world == "clean" and compose(["sensor=low"]).world == "sensor=low"
-    assert replace(compose([]).sensor, sheet_factor=2.0).idle
+    assert replace(compose([]).sensor, spec_factor=2.0).idle

@@ -11,8 +11,8 @@ from quadexp.compile.backend import resolve
 from quadexp.compile.memory import NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Belief, Window, no_belief
+from quadexp.control.control_step import Call, ControlStep, InCalls, InputArrays, call, copy, law_record
 from quadexp.control.inputs import Circumstances, at_start, places_of
-from quadexp.control.instant import InOperations, Instant, Operation, Told, call, copy, law_record
 from quadexp.control.wrapped import thrust_at_start
 from quadexp.models.residual import Residual
 from quadexp.parts.settings import Setting
@@ -25,7 +25,7 @@ OF_REFERENCE = {"reference", "thrusts", "thrusts_middle", "air_reference"}  # wh
 NO_BELIEF = np.hstack([*no_belief()])  # force, torque, wind, thrust scale, air scale
 
 
-class ExplicitController(InOperations):
+class ExplicitController(InCalls):
     """A Controller (see control.base) whose step is a CasADi function.
 
     law: the control.law.Law. about: what its equations know. function: its law_function, on a back end. residual: what
@@ -41,7 +41,7 @@ class ExplicitController(InOperations):
         self.vehicle, self.law, self.control_period, self._about = vehicle, law, about.period, about
         self.backend = resolve(law.backend)
         self.node_times = np.array(law.nodes) * self.control_period
-        self.name, self.source = ("none", "") if residual is None else (residual.name, residual.source)
+        self.residual_name, self.source = ("none", "") if residual is None else (residual.name, residual.source)
         self._function, reads, n = function, set(function.name_in()), vehicle.n_rotors
         self.air, self.residual = residual, residual if OF_REFERENCE & reads else None
         sizes = sizes_of([function]) | ({"sent": n} if f"{NOW}sent" in reads else {})
@@ -52,7 +52,7 @@ class ExplicitController(InOperations):
         results = {name: np.zeros(function.size1_out(name)) for name in ("command", "held")}
         results |= {f"log_{name}": np.zeros(function.numel_out(f"log_{name}")) for name in law.logged}
         self._results, self._logged = results, {name: results[f"log_{name}"] for name in law.logged}
-        self.rows: np.ndarray | None = None  # of the horizon that it is told, where that is longer; None: all
+        self.rows: np.ndarray | None = None  # of the horizon that it is given, where that is longer; None: all
 
     def forget(self) -> None:
         """See Controller.forget; nothing is learned that outlives a flight."""
@@ -66,23 +66,23 @@ class ExplicitController(InOperations):
             start |= at_start(self.vehicle, self._about, thrust_at_start(window, self.vehicle))
         self.memory.begin(start)
 
-    def instant(self, told: Told, state: np.ndarray) -> Instant:
-        """See control.instant."""
+    def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
+        """See control.control_step."""
         nodes, n = len(self.node_times), self.vehicle.n_rotors
         states, thrusts = np.empty((nodes, N_STATE)), np.empty((nodes - 1, n))
         ahead = {"reference": states[0], "thrusts": thrusts[0], "thrusts_middle": thrusts[-1]} if nodes > 1 else {}
-        places = {**places_of(told, state), **self._places, **ahead}
+        places = {**places_of(inputs, state), **self._places, **ahead}
         looks = ahead.keys() & set(self._function.name_in())
-        operations = [Operation("window", states, self.rows, thrusts)] if looks else []
+        calls = [Call("window", states, self.rows, thrusts)] if looks else []
         command, memory = self._results["command"], self.memory
-        operations.append(call(connected(self._function, places, self._results, memory)))
+        calls.append(call(connected(self._function, places, self._results, memory)))
         kept = memory.pairs[0][1]
-        operations += [Operation("finite", source=numbers) for numbers in (command, kept) if numbers.size]
+        calls += [Call("finite", source=numbers) for numbers in (command, kept) if numbers.size]
         if "sent" in memory.sizes:
-            operations.append(copy(memory.of_next["sent"], command))
+            calls.append(copy(memory.of_next["sent"], command))
         logged = tuple(self._logged.values())
         record = law_record(command, self._results["held"], kept)
-        return Instant(operations, command, record, self._results["held"], logged, memory=(memory,))
+        return ControlStep(calls, command, record, self._results["held"], logged, memory=(memory,))
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""
@@ -99,7 +99,7 @@ class BelievingController(ExplicitController):
 
     @property
     def believed_numbers(self) -> np.ndarray:
-        """What is believed, in the order of Belief; (11,)."""
+        """What is assumed, in the order of Belief; (11,)."""
         return self._places["belief"]
 
     def believe(self, belief: Belief) -> None:

@@ -35,7 +35,7 @@ ROUNDS = 10  # of the active set, at most, after DAQP's
 class Status(IntEnum):
     """How a subproblem was solved."""
 
-    RICCATI = 0  # no bound active
+    OK = 0  # no bound active
     ACTIVE_SET = 1
     FAILED = 3
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.control.base import Belief, Controller, Measurement, Window
-from quadexp.control.instant import InOperations, Instant, Operation, Told, copy
+from quadexp.control.control_step import Call, ControlStep, InCalls, InputArrays, copy
 from quadexp.control.mpc.dead_time import DeadTimePredictor, MotorLead
 from quadexp.control.mpc.mpc import ModelPredictiveController, StepRecord
 from quadexp.models.residual import Residual
@@ -19,7 +19,7 @@ from quadexp.plugin import service
 SURELY = 1 - 1e-9  # of a distance: what is nearer is nearer in any order of summation
 
 
-class PredictiveController(InOperations):
+class PredictiveController(InCalls):
     """A ModelPredictiveController as a Controller (see control.base). record: of its last step."""
 
     reference_period = 0.0
@@ -28,7 +28,7 @@ class PredictiveController(InOperations):
     def __init__(self, mpc: ModelPredictiveController) -> None:
         self.mpc = mpc
         self.believed: Any = None  # a world to plan in, made by the first belief (the service `believed_world`)
-        self.targets = False  # whether references are recomputed to hold the path in the believed world
+        self.targets = False  # whether references are recomputed to hold the path in the assumed world
         self.vehicle, self.settings, self.backend = mpc.vehicle, mpc.settings, mpc.backend
         self.control_period = mpc.settings.control_period
         self.node_times = mpc.settings.dead_time + mpc.node_times  # the first is when a command sent now begins to act
@@ -39,7 +39,7 @@ class PredictiveController(InOperations):
         self.record: StepRecord
         self._x0: np.ndarray = mpc.step.arguments["x0"]
         self._reference = mpc.reference
-        self.name, self.source = mpc.residual.name, mpc.residual.source
+        self.residual_name, self.source = mpc.residual.name, mpc.residual.source
 
     @property
     def residual(self) -> Residual | None:
@@ -76,11 +76,11 @@ class PredictiveController(InOperations):
             make = service("believed_world", "a belief of what acts on the vehicle")
             self.believed = make(self.mpc, self.node_times, targets=self.targets, air=self.residual)
             self._running = None
-        numbers: np.ndarray = self.believed.told
+        numbers: np.ndarray = self.believed.stated
         return numbers
 
     def believe(self, belief: Belief) -> None:
-        """Plan the next step, and all after it until told otherwise, in the world of a belief."""
+        """Plan the next step, and all after it until set otherwise, in the world of a belief."""
         self.believed_numbers[:] = np.hstack([*belief])
 
     def prepare(self, window: Window) -> None:
@@ -100,32 +100,32 @@ class PredictiveController(InOperations):
         self.unprepared[0], self._prepared = not self.mpc.prepared, None
         return super().step(measurement, window)
 
-    def instant(self, told: Told, state: np.ndarray) -> Instant:
-        """See control.instant."""
+    def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
+        """See control.control_step."""
         mpc, x0, (X_ref, U_ref) = self.mpc, self._x0, self._reference
         if self.believed is None:
-            look = Operation("window", X_ref[:, :N_STATE], other=U_ref, when=self.unprepared)
-            operations, x = [look], state
+            look = Call("window", X_ref[:, :N_STATE], other=U_ref, when=self.unprepared)
+            calls, x = [look], state
         else:
-            operations, x = self.believed.before(told, state)
+            calls, x = self.believed.before(inputs, state)
         if self.predictor is not None:
             predicted, x = self.predictor.before(x)
-            operations += predicted
-        operations += [copy(x0, x[: len(x0)]), Operation("finite", source=x0)]
+            calls += predicted
+        calls += [copy(x0, x[: len(x0)]), Call("finite", source=x0)]
         limit = self.settings.distance_limit * SURELY
-        operations += [Operation("near", source=x0, other=X_ref, factor=limit), Operation("plan", act=self._plan)]
+        calls += [Call("near", source=x0, other=X_ref, factor=limit), Call("plan", act=self._plan)]
         command = mpc.prediction[1][0]
         if self.lead is not None:
             inverted, command = self.lead.after(command, x[N_STATE:])
-            operations += inverted
+            calls += inverted
         if self.predictor is not None:
-            operations += self.predictor.after(command)  # in a believed world: what is delivered of the command
+            calls += self.predictor.after(command)  # in a assumed world: what is delivered of the command
         if self.believed is not None:
             delivering, command = self.believed.after(command)
-            operations += delivering
+            calls += delivering
         layers: list[Any] = [mpc, self.believed, self.predictor]
         kept = tuple(layer.memory for layer in layers if hasattr(layer, "memory"))
-        return Instant(operations, command, lambda _: self.record, plan=self, memory=kept)
+        return ControlStep(calls, command, lambda _: self.record, plan=self, memory=kept)
 
     def _plan(self) -> None:
         """The MPC's step from what lies in its arrays; what is out of the ordinary is here, and not in C."""

@@ -20,9 +20,9 @@ import numpy as np
 
 from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
-from quadexp.control.built import built
+from quadexp.control.cached_function import cached_function
+from quadexp.control.control_step import Call, call, copy, run
 from quadexp.control.delivered import Delays, delivered_by_commands, kept_sizes
-from quadexp.control.instant import Operation, call, copy, run
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.prediction import node_function
 from quadexp.control.mpc.settings import MPCSettings
@@ -38,7 +38,7 @@ from quadexp.physics.vehicle import Vehicle
 class DeadTimePredictor:
     """Predicts the state after the dead time from the commands that have been sent but have not acted yet.
 
-    mpc: its model, parameters, dead_time and known lag are used. `reset` begins a flight; its operations stand `before`
+    mpc: its model, parameters, dead_time and known lag are used. `reset` begins a flight; its calls stand `before`
     and `after` the plan, at every control instant. memory: those commands, and with a known lag thrusts of the rotors.
     """
 
@@ -47,7 +47,7 @@ class DeadTimePredictor:
         self._delays = Delays(settings.control_period, settings.dead_time, settings.known_lag)
         disturbed = mpc.disturbance is not None
         form = mpc.vehicle, mpc.residual, self._delays
-        self._function = built(mpc.backend, prediction_function, *form, disturbed=disturbed)
+        self._function = cached_function(mpc.backend, prediction_function, *form, disturbed=disturbed)
         self._places = {"theta": mpc.parameters} | ({} if mpc.disturbance is None else {"disturbance": mpc.disturbance})
         self.memory = Memory("DeadTime", sizes_of([self._function]) | {"sent": n})
         self._predicted = {"x_next": np.zeros(self._function.size1_out("x_next"))}
@@ -59,16 +59,16 @@ class DeadTimePredictor:
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """State after the dead time, (13,), with a known lag (13 + n,), from the measured state x now, (13,)."""
-        operations, predicted = self.before(np.ascontiguousarray(x, float))
-        run(operations)
+        calls, predicted = self.before(np.ascontiguousarray(x, float))
+        run(calls)
         return predicted.copy()
 
-    def before(self, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
+    def before(self, state: np.ndarray) -> tuple[list[Call], np.ndarray]:
         """Predicts from the state that is found there, (13,), and the array that has the predicted one then."""
         places = self._places | {"x": state}
         return [call(connected(self._function, places, self._predicted, self.memory))], self._predicted["x_next"]
 
-    def after(self, command: np.ndarray) -> list[Operation]:
+    def after(self, command: np.ndarray) -> list[Call]:
         """Remembers the command that is found there, (n,) (N)."""
         return [copy(self.memory.of_next["sent"], command)]
 
@@ -88,13 +88,13 @@ class MotorLead:
     def __init__(
         self, limits: tuple[np.ndarray, np.ndarray], settings: MPCSettings, backend: str = "interpreted"
     ) -> None:
-        self._function = built(backend, inversion_function, len(limits[0]))
+        self._function = cached_function(backend, inversion_function, len(limits[0]))
         self._places, self.gain = named(("low", "high"), limits), np.zeros(1)
         self._inverted = {"command": np.zeros_like(limits[0])}
         period, lag = settings.control_period, settings.motor_lead
         self.gain[...] = -1 / math.expm1(-period / lag) if lag else 1.0
 
-    def after(self, planned: np.ndarray, thrust: np.ndarray) -> tuple[list[Operation], np.ndarray]:
+    def after(self, planned: np.ndarray, thrust: np.ndarray) -> tuple[list[Call], np.ndarray]:
         """Inverts for the thrusts that are found there, (n,) (N), planned and now; and the array of the command."""
         places = self._places | {"gain": self.gain, "planned": planned, "now": thrust}
         return [call(connected(self._function, places, self._inverted))], self._inverted["command"]
@@ -102,10 +102,10 @@ class MotorLead:
 
 def inversion_function(rotors: int) -> ca.Function:
     """planned, now, low, high (n,) (N); gain -> command (n,) (N)."""
-    given = named_symbols(ca.SX, {"planned": rotors, "now": rotors, "low": rotors, "high": rotors, "gain": 1})
-    planned, now, low, high, gain = given.values()
+    arguments = named_symbols(ca.SX, {"planned": rotors, "now": rotors, "low": rotors, "high": rotors, "gain": 1})
+    planned, now, low, high, gain = arguments.values()
     command = limited(now + gain * (planned - now), low, high)
-    return named_function("motor_lead", given, {"command": command})
+    return named_function("motor_lead", arguments, {"command": command})
 
 
 def prediction_function(
@@ -136,5 +136,5 @@ def prediction_function(
         for u, dt in zip(ca.horzsplit(commands), durations, strict=True):
             x = node(x, u, theta, dt, *further)
         x = with_unit_attitude(x)
-    left = {"x_next": x, f"{NEXT}commands": ca.vec(commands)} | ({f"{NEXT}thrust": thrust} if lag else {})
-    return named_function("mpc_prediction", arguments, left)
+    results = {"x_next": x, f"{NEXT}commands": ca.vec(commands)} | ({f"{NEXT}thrust": thrust} if lag else {})
+    return named_function("mpc_prediction", arguments, results)

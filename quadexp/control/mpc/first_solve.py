@@ -79,8 +79,8 @@ class FirstSolve:
 
     def __init__(self, rollout: ca.Function, step: Step, direction: Callable[[], Direction]) -> None:
         arguments = step.arguments
-        given = {name: arguments[name] for name in rollout.name_in() if name != "U"}
-        self._rollout, self._direction = BufferedFunction(rollout, given), direction
+        shared = {name: arguments[name] for name in rollout.name_in() if name != "U"}
+        self._rollout, self._direction = BufferedFunction(rollout, shared), direction
         self._X, self._U, self._R = arguments["X"], arguments["U"], arguments["R"]
         self._low, self._high = arguments["u_min"], arguments["u_max"]
 
@@ -100,20 +100,20 @@ class FirstSolve:
         cost, U = min(((self.cost(guess), guess) for guess in guesses), key=lambda pair: pair[0])
         if not np.isfinite(cost):
             return None
-        found = self._linearise(U)
+        linearised = self._linearise(U)
         points: list[np.ndarray] = []
         steps: list[np.ndarray] = []
         for _ in range(iterations):
-            if found.status == Status.FAILED or found.kkt < CONVERGED:
+            if linearised.status == Status.FAILED or linearised.kkt < CONVERGED:
                 break
-            d = found.d_input.copy()
+            d = linearised.d_input.copy()
             length, lower = self._search(U, d, cost)
             if not length:
-                better = self._by_residual(U, d, found.kkt)
+                better = self._by_residual(U, d, linearised.kkt)
                 if better is None:
-                    found = self._linearise(U)
+                    linearised = self._linearise(U)
                     break
-                U, found = better
+                U, linearised = better
                 cost = self.cost(U)
                 points, steps = [], []
                 continue
@@ -122,8 +122,8 @@ class FirstSolve:
             combined = self._accelerated(points, steps)
             if combined is not None and (lower := self.cost(combined)) < cost:
                 U, cost = combined, lower
-            found = self._linearise(U)
-        return found
+            linearised = self._linearise(U)
+        return linearised
 
     def _linearise(self, U: np.ndarray) -> Direction:
         self.cost(U)
@@ -144,9 +144,9 @@ class FirstSolve:
         """The longest of some halved steps with a smaller optimality residual; None if there is none."""
         for length in 0.5 ** np.arange(8):
             candidate = U + length * d
-            found = self._linearise(candidate)
-            if found.status != Status.FAILED and found.kkt < (1 - REDUCED * length) * kkt:
-                return candidate, found
+            linearised = self._linearise(candidate)
+            if linearised.status != Status.FAILED and linearised.kkt < (1 - REDUCED * length) * kkt:
+                return candidate, linearised
         return None
 
     def _accelerated(self, points: list[np.ndarray], steps: list[np.ndarray]) -> np.ndarray | None:

@@ -46,8 +46,8 @@ class _Loops:
 
     def __init__(self, stages: InterpretedStages, arguments: Arrays, results: Arrays) -> None:
         nodes, m = len(arguments["U"]), stages.form.states
-        own = {"P": (m, m), "p": (m,), "multiplier": (m,), "kkt": (1,), "dX": (m,), "extremes": (2,)}
-        of_nodes = {name: np.zeros((nodes + 1, *shape)) for name, shape in own.items()}
+        shapes = {"P": (m, m), "p": (m,), "multiplier": (m,), "kkt": (1,), "dX": (m,), "extremes": (2,)}
+        of_nodes = {name: np.zeros((nodes + 1, *shape)) for name, shape in shapes.items()}
         self._a = arguments | results | of_nodes
         self._a["extremes"][0] = -np.inf
         guess = guess_function(stages.form, nodes)
@@ -69,9 +69,9 @@ class _Loops:
             array = array if name in COMMON else array[first : first + count]
             return array.reshape(array_for(shape).shape)
 
-        given = {name: place(name, function.sparsity_in(name)) for name in function.name_in()}
+        arguments = {name: place(name, function.sparsity_in(name)) for name in function.name_in()}
         return BufferedFunction(
-            function, given, {name: place(name, function.sparsity_out(name)) for name in function.name_out()}
+            function, arguments, {name: place(name, function.sparsity_out(name)) for name in function.name_out()}
         )
 
     def prepare(self) -> None:
@@ -115,7 +115,7 @@ def guess_function(form: Form, nodes: int) -> ca.Function:
     r, added, frames, named as in step.py like the inputs."""
     names = ("X", "U", "X_ref", "U_ref", "Q", "Q_end", "R", "dt", "shift", "u_min", "u_max", "first_share", "tau")
     horizon = Horizon(form, nodes, ca.SX, names)
-    a, left = horizon.given, {"added": horizon.added, "frames": horizon.frames}
+    a, kept = horizon.given, {"added": horizon.added, "frames": horizon.frames}
 
     def moved(values: Expression, share: Expression) -> Expression:
         return ca.horzcat(values[:, :-1] + ca.repmat(share, values.size1(), 1) * ca.diff(values, 1, 1), values[:, -1])
@@ -126,6 +126,6 @@ def guess_function(form: Form, nodes: int) -> ca.Function:
     X_lin[ATTITUDE, :] *= ca.repmat(scale, 4, 1)
     errors = ca.horzsplit(X_lin - horizon.X_ref[:, 1:])
     q = ca.horzcat(*(horizon.error.deviation(k, dx) for k, dx in enumerate(errors, 1)))
-    results = {name: ca.horzcat(*parts) for name, parts in left.items() if parts}
+    results = {name: ca.horzcat(*parts) for name, parts in kept.items() if parts}
     results |= {"X_lin": X_lin, "q": ca.horzcat(a["Q"][:, 1:], a["Q_end"]) * q}
     return dense_function("guess", a, results | {"U_lin": U_lin, "r": a["R"] * (U_lin - horizon.U_ref)})

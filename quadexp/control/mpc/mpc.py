@@ -10,7 +10,7 @@ import numpy as np
 
 from quadexp.compile.backend import resolve
 from quadexp.compile.memory import Memory
-from quadexp.control.built import built
+from quadexp.control.cached_function import cached_function
 from quadexp.control.mpc.active_set import ActiveSet, Status
 from quadexp.control.mpc.first_solve import CONVERGED, Direction, FirstSolve, rollout_function
 from quadexp.control.mpc.interpreted import InterpretedStages
@@ -71,7 +71,9 @@ class ModelPredictiveController:
         self.backend, deviation = resolve(backend), settings.input_hold == "deviation"
         structure = {"attitude_error": settings.attitude_error, "lag": bool(settings.motor_lag)}
         structure |= {"deviation": deviation, "disturbed": disturbed}
-        self.step = Step(built(self.backend, stages_of, vehicle, residual, self.backend, **structure), settings.nodes)
+        self.step = Step(
+            cached_function(self.backend, stages_of, vehicle, residual, self.backend, **structure), settings.nodes
+        )
         arguments = self.step.arguments
         self._active_set = ActiveSet(self.step)
 
@@ -291,11 +293,13 @@ class ModelPredictiveController:
                 break
         if not outcome[3] < CONVERGED and iterations > PLAIN_ITERATIONS:
             reached = self._X.copy(), self._U.copy()
-            found = self._descend(guess, iterations - PLAIN_ITERATIONS)
-            if found is None or found[0] == Status.FAILED:  # then keep the result of the full steps, not converged
+            descended = self._descend(guess, iterations - PLAIN_ITERATIONS)
+            if (
+                descended is None or descended[0] == Status.FAILED
+            ):  # then keep the result of the full steps, not converged
                 self._X[...], self._U[...] = reached
             else:
-                outcome = found
+                outcome = descended
         shift[...] = self.settings.control_period / self.step.arguments["dt"]
         self._cold = False
         return outcome
@@ -309,8 +313,8 @@ class ModelPredictiveController:
             rollout = rollout_function(self.vehicle, self.residual, self.step.form, self.settings.nodes)
             self._first_solve = FirstSolve(rollout, self.step, self._direction)
         reached = np.clip(self._U, self.vehicle.thrust_min, self.vehicle.thrust_max)
-        found = self._first_solve.solve([reached, guess], iterations)
-        return None if found is None else found[1:]
+        solution = self._first_solve.solve([reached, guess], iterations)
+        return None if solution is None else solution[1:]
 
     def _direction(self) -> Direction:
         """Linearise at the guess and solve the bounded subproblem; the guess does not move."""
@@ -320,10 +324,10 @@ class ModelPredictiveController:
         if not math.isfinite(excess + turn):
             return Direction(d_input, Status.FAILED, 0, 0, kkt)
         if excess <= TOLERANCE:
-            return Direction(d_input, Status.RICCATI, 0, 0, kkt)
-        found = self._active_set
-        status = found.solve()
-        return Direction(found.U_new - self.step.results["U_lin"], status, found.exchanges, found.active, kkt)
+            return Direction(d_input, Status.OK, 0, 0, kkt)
+        solver = self._active_set
+        status = solver.solve()
+        return Direction(solver.U_new - self.step.results["U_lin"], status, solver.exchanges, solver.active, kkt)
 
     def _iterate(self) -> tuple[Status, int, int, float]:
         """One SQP iteration: status, exchanges, active bounds, optimality residual. A failed one leaves the guess."""
@@ -338,13 +342,13 @@ class ModelPredictiveController:
         if excess <= TOLERANCE:  # then the unbounded solution is the bounded one
             self._active_set.reset()
             self._move(self._X_new, self._U_new, turn)
-            return Status.RICCATI, 0, 0, kkt
-        found = self._active_set
-        status = found.solve()
+            return Status.OK, 0, 0, kkt
+        solver = self._active_set
+        status = solver.solve()
         if status == Status.FAILED:
-            return status, found.exchanges, 0, kkt
-        self._move(found.X_new, found.U_new, found.turn)
-        return status, found.exchanges, found.active, kkt
+            return status, solver.exchanges, 0, kkt
+        self._move(solver.X_new, solver.U_new, solver.turn)
+        return status, solver.exchanges, solver.active, kkt
 
     def _move(self, X_new: np.ndarray, U_new: np.ndarray, turn: float) -> None:
         """Move the guess to a solution; only part of the way where an attitude would change by more than MAX_TURN."""

@@ -90,8 +90,8 @@ def linearise_function(vehicle: Vehicle, residual: Residual, form: Form, *, scal
     shapes |= {"tau": (form.lag, 1), "added": (n, 3 * form.deviation)}
     shapes |= {"disturbance": (N_DISTURBANCE * form.disturbed, 1)}
     a = named_symbols(ca.SX if node.is_a("SXFunction") else ca.MX, shapes | {"frames": frame, "frames_next": frame})
-    given = {"x": a["X_lin"], "u": a["U_lin"]} | a
-    predicted, A, B = node(*(given[name] for name in node.name_in()))
+    arguments = {"x": a["X_lin"], "u": a["U_lin"]} | a
+    predicted, A, B = node(*(arguments[name] for name in node.name_in()))
     error = attitude_error_in(ca.horzcat(a["frames"], a["frames_next"]) if form.frames else None)
     dynamics = error.linearisation(0, A, B, predicted - a["X_lin_next"])
     padding = form.line - (m - N_PLACE + n + 1)

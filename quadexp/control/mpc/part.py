@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import RESIDUAL, ControllerPart
 from quadexp.errors import UsageError
-from quadexp.parts.part import Given
+from quadexp.models.build_context import BuildContext
 from quadexp.parts.settings import REQUIRED, Backend, Setting, key, keyed, part
 
 PARTS = Setting("models that are added to the rigid body in the prediction, and summed", options="model")
@@ -21,27 +21,27 @@ class PredictivePart(MPCSettings, ControllerPart):
     added: ClassVar[tuple[str, ...]] = ()
     backend: Backend = "auto"
 
-    def build(self, given: Given) -> Any:
+    def build(self, context: BuildContext) -> Any:
         """See ControllerPart."""
         from quadexp.control.mpc.controller import PredictiveController
         from quadexp.control.mpc.mpc import ModelPredictiveController
 
-        residual = self.model(given)
-        if any(one.scales_air(given) for one in given.remedies):
+        residual = self.model(context)
+        if any(compensation.scales_air(context) for compensation in context.remedies):
             from quadexp.models.residual import scaled_residual
 
             residual = scaled_residual(residual)
-        told = any(one.believes for one in given.remedies)
+        disturbed = any(compensation.believes for compensation in context.remedies)
         settings = part(MPCSettings, self)
-        for one in given.remedies:
-            settings = one.suited(settings)
+        for compensation in context.remedies:
+            settings = compensation.suited(settings)
         return PredictiveController(
-            ModelPredictiveController(given.vehicle, residual, settings, backend=self.backend, disturbed=told)
+            ModelPredictiveController(context.vehicle, residual, settings, backend=self.backend, disturbed=disturbed)
         )
 
-    def model(self, given: Given) -> Any:
+    def model(self, context: BuildContext) -> Any:
         """Its model of the air, a Residual."""
-        return given.residual(*self.kinds)
+        return context.residual(*self.kinds)
 
 
 @keyed
@@ -52,14 +52,14 @@ class MPC(PredictivePart):
     residual: str = key(REQUIRED, RESIDUAL)
     fallback: bool = key(False, "weigh a Gaussian process by its variance: outside its data it is drag fitted to it")
 
-    def model(self, given: Given) -> Any:
+    def model(self, context: BuildContext) -> Any:
         """See PredictivePart."""
-        model = super().model(given)
+        model = super().model(context)
         if not self.fallback:
             return model
         if not self.learned:
             raise UsageError(f"controller.fallback: residual={self.residual} has no data; gaussian_process has")
-        return given.checkpoint(0).weighed(given.vehicle, model)
+        return context.checkpoint(0).weighed(context.vehicle, model)
 
 
 @keyed

@@ -120,11 +120,11 @@ class CompiledStages:
         sizes = np.array([len(arguments["U"]), self.form.parameters], np.int64)
         self._code.mpc_memory.restype = ctypes.c_longlong
         numbers = self._code.mpc_memory(*map(ctypes.c_longlong, sizes.tolist()))
-        given, left = (
+        argument_places, result_places = (
             np.array([array.ctypes.data if array.size else 0 for array in arrays.values()], np.uintp)
             for arrays in (arguments, results)
         )
-        memory = [given, left, sizes, aligned((numbers,))]
+        memory = [argument_places, result_places, sizes, aligned((numbers,))]
         return [Phase(getattr(self._code, name), memory) for name in PHASES]
 
 

@@ -55,8 +55,8 @@ def write_archive(results: str | Path, out: str | Path, *, force: bool = False) 
     for name, text in experiments(record, places).items():
         files[f"{RERUN}/experiment/{name}.yaml"] = text.encode()
         names.append(name)
-    made = [file for file in folder_files(root) if not {*SKIPPED}.intersection(file.relative_to(root).parts)]
-    files |= {f"results/{file.relative_to(root).as_posix()}": file.read_bytes() for file in made if _is_result(file)}
+    members = [file for file in folder_files(root) if not {*SKIPPED}.intersection(file.relative_to(root).parts)]
+    files |= {f"results/{file.relative_to(root).as_posix()}": file.read_bytes() for file in members if _is_result(file)}
     files["citations.bib"] = bibtex(root).encode()
     files["versions.txt"] = versions_text(record).encode()
     files["README.md"] = readme(rows, record, [RERUN, *conf], names).encode()

@@ -34,8 +34,8 @@ def bibtex(path: str | Path, conf: Folders = None) -> str:
         raise UsageError(f"{path}: is of kind {kind}; a flight or the results of a sweep can be cited")
     record, flights = read_flights(Path(path), kind)
     folders: Any = conf or ()
-    given = [folders] if isinstance(folders, (str, Path)) else list(folders)
-    files = OptionFiles([*given, *(folder for folder in record.get("conf", ()) if Path(folder).is_dir())])
+    paths = [folders] if isinstance(folders, (str, Path)) else list(folders)
+    files = OptionFiles([*paths, *(folder for folder in record.get("conf", ()) if Path(folder).is_dir())])
     known = _references(files)
     entries: dict[str, str] = {}
     without: list[str] = []

@@ -25,6 +25,6 @@ def archive(
     """
     from quadexp.plugins.archive.archive import write_archive
 
-    made = write_archive(results, out, force=force)
-    rows = [{"file": name, "bytes": size} for name, size in made.items()]
-    return Answer({"path": out, "files": made}, rows, [f"{len(made)} files", out])
+    archived = write_archive(results, out, force=force)
+    rows = [{"file": name, "bytes": size} for name, size in archived.items()]
+    return Answer({"path": out, "files": archived}, rows, [f"{len(archived)} files", out])

@@ -94,10 +94,10 @@ def _same(a: Any, b: Any) -> bool:
 
 def _verify_made(root: Path, record: dict[str, Any], verified: Verified) -> None:
     """Look at what was made of the rows."""
-    made, path = record.get("made", {}), root / STATISTICS
-    verified.files += sum((root / name).is_file() for name in made)
+    stated, path = record.get("made", {}), root / STATISTICS
+    verified.files += sum((root / name).is_file() for name in stated)
     verified.wrong |= altered_texts(root, record)
-    wanted = [*made, STATISTICS] if "statistics" in record else [*made]
+    wanted = [*stated, STATISTICS] if "statistics" in record else [*stated]
     verified.wrong |= {str(root / name): "is not there" for name in wanted if not (root / name).is_file()}
     statistics = verified.look(path, lambda: read_table(path, "statistics")) if path.exists() else None
     if statistics and record.get("statistics", statistics[1].get("fingerprint")) != statistics[1].get("fingerprint"):

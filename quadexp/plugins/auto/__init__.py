@@ -1,3 +1,3 @@
-"""One setting for a vehicle that nobody measured: what is late, off, or blown, believed as far as the evidence goes."""
+"""One setting for a vehicle that nobody measured: what is late, off, or blown, assumed as far as the evidence goes."""
 
 BRINGS = {"parts": {"auto": "quadexp.plugins.auto.part"}, "services": {"beliefs": "quadexp.plugins.auto.beliefs"}}

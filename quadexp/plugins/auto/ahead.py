@@ -1,6 +1,6 @@
 """Where state and thrusts will be or were, by the commands that were sent, over spans that may change in flight.
 
-    late -> now       the told state, over its age
+    late -> now       the given state, over its age
     now -> ahead      the state at which a command of now begins to act, over the dead time
 
 by the model of delay/prediction.py, and the weights of control.delivered on the last commands.
@@ -16,9 +16,9 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.control.built import built
+from quadexp.control.cached_function import cached_function
+from quadexp.control.control_step import Call, call, copy, run
 from quadexp.control.delivered import INSTANT, SETTLED, SentCommands, command_weights
-from quadexp.control.instant import Operation, call, copy, run
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.models.residual import Residual
 from quadexp.physics.state import N_STATE
@@ -45,7 +45,7 @@ def span_weights(count: int, period: float) -> ca.Function:
 
 
 def prediction_numbers(weights: ca.Function, parts: int, begin: Any, end: Any, dead_time: Any, lag: Any) -> list[Any]:
-    """What an Ahead is told of a span, from now (s), and of what commands wait and lag (s): how long each of its parts
+    """What an Ahead is given a span, from now (s), and of what commands wait and lag (s): how long each of its parts
     is, the weights of commands in it, and whether there is any."""
     starts = ca.fmin(begin + STEP * ca.DM(range(parts)), end)
     ends = ca.fmin(starts + STEP, end)
@@ -57,7 +57,7 @@ class Ahead:
     """The state at the end of a span of time, from that at its beginning.
 
     model: its vehicle, residual and backend. shared: arrays that the prediction reads, see delay.prediction. longest
-    span: (s). tuned: arrays of what it is told of the span, see prediction_numbers.
+    span: (s). tuned: arrays of what it is given the span, see prediction_numbers.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class Ahead:
         shared: Mapping[str, np.ndarray], longest: float = BANK.largest_age,
     ) -> None:  # fmt: skip
         self.parts = math.ceil(longest / STEP - 1e-9)
-        function = built(backend, prediction, vehicle, residual, self.parts, len(commands.values))
+        function = cached_function(backend, prediction, vehicle, residual, self.parts, len(commands.values))
         self._predict = BufferedFunction(function, {"commands": commands.values, **shared})
         given, self._moves = self._predict.arguments, np.zeros(1)
         self._x, self._end = given["x"], self._predict.results["now"]
@@ -75,7 +75,7 @@ class Ahead:
         if "theta" not in shared:
             given["theta"][...] = residual.theta
 
-    def before(self, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
+    def before(self, state: np.ndarray) -> tuple[list[Call], np.ndarray]:
         """Predicts from the state that is found there, (13,), and the array that has that of the end then."""
         return [copy(self._x, state), copy(self._end, state), call(self._predict, self._moves)], self._end
 
@@ -85,12 +85,12 @@ class Delivered:
     oldest first, (s, m)."""
 
     def __init__(self, commands: SentCommands, backend: str, spans: int) -> None:
-        function = built(backend, weighted, *commands.values.shape, spans)
+        function = cached_function(backend, weighted, *commands.values.shape, spans)
         self._weigh = BufferedFunction(function, {"commands": commands.values})
         self.tuned = self._weigh.arguments["weights"]
         self.thrusts = self._weigh.results["thrust"].reshape(spans, -1)
 
-    def before(self) -> list[Operation]:
+    def before(self) -> list[Call]:
         """Leaves `thrusts`."""
         return [call(self._weigh)]
 
@@ -118,17 +118,17 @@ class CommandsAhead:
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """See DeadTimePredictor.predict."""
-        operations, predicted = self.before(x)
-        run(operations)
+        calls, predicted = self.before(x)
+        run(calls)
         return predicted.copy()
 
-    def before(self, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
+    def before(self, state: np.ndarray) -> tuple[list[Call], np.ndarray]:
         """See DeadTimePredictor.before; the thrusts stand behind the state, (13 + n,)."""
-        operations, now = self.ahead.before(state)
-        operations += self.delivered.before()
-        operations += [copy(self._full[:N_STATE], now), copy(self._full[N_STATE:], self.delivered.thrusts[0])]
-        return operations, self._full
+        calls, now = self.ahead.before(state)
+        calls += self.delivered.before()
+        calls += [copy(self._full[:N_STATE], now), copy(self._full[N_STATE:], self.delivered.thrusts[0])]
+        return calls, self._full
 
-    def after(self, command: np.ndarray) -> list[Operation]:
+    def after(self, command: np.ndarray) -> list[Call]:
         """See DeadTimePredictor.after."""
         return self.sent.after(command)

@@ -1,16 +1,17 @@
-"""A law in closed form under one setting: it is told the state and the reference of the time at which its command acts.
+"""A law in closed form under one setting: it is given the state and the reference of the time at which its command
+acts.
 
-    late -> now -> observer of the force, told to the law -> in dead time and lag (Sooner) -> law
+    late -> now -> observer of the force, given to the law -> in dead time and lag (Sooner) -> law
 
-A law that cannot be told a force or wind is told of the delays only.
+A law that cannot be given a force or wind is given the delays only.
 
 Where the velocity of the path jumps, a law would ask for more than the vehicle has, tilt it beyond the horizontal and
-fall. So what is told goes over to the path behind the jump already before it, with an offset e that makes both ends
+fall. So what is given goes over to the path behind the jump already before it, with an offset e that makes both ends
 meet and dies out as fast as the vehicle accelerates, a = min(SHARE sqrt((T_max / m)^2 - g^2), STEEPEST g):
 
     e'' = c,  c' = TURNS (u - c),    u = 2 BACK (-min(BACK / 2, sqrt(2 BRAKES a / |e|)) e - e'),  |u| <= a
 
-with e and e' of the time 1 / TURNS ahead in u, as thrust turns. A path without jumps is told as it is.
+with e and e' of the time 1 / TURNS ahead in u, as thrust turns. A path without jumps is given as it is.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import N_BELIEF, Window
-from quadexp.control.built import built
+from quadexp.control.cached_function import cached_function
+from quadexp.control.control_step import Call, ControlStep, InputArrays, call, control_step_of, copy
 from quadexp.control.delivered import SentCommands
-from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of
 from quadexp.control.wrapped import WrappedController
 from quadexp.models.residual import no_residual
-from quadexp.parts.sensor_sheet import SensorSheet
+from quadexp.parts.sensor_spec import SensorSpec
 from quadexp.physics.expression import dense_function, named_symbols
 from quadexp.physics.state import N_STATE, POSITION, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -41,17 +42,17 @@ from quadexp.plugins.auto.settings import BANK, PATH
 
 DERIVATIVES = 5  # of the path: position .. snap
 OF_LAW = "ahead_dt", "ahead_weights", "ahead_moves", "ahead", "at", "jump_rows"
-LONGEST = BANK.largest_dead_time + BANK.largest_lag  # s, that a law is told ahead
+LONGEST = BANK.largest_dead_time + BANK.largest_lag  # s, that a law is given ahead
 
 
 class AutoLaw(Auto):
     """A law."""
 
-    def __init__(self, core: Any, sheet: SensorSheet) -> None:
+    def __init__(self, core: Any, sensor_spec: SensorSpec) -> None:
         world = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}
         commands = sent_commands(core.vehicle, core.control_period)
         sooner = Sooner(core, commands, world)
-        super().__init__(sooner, core, sheet, no_residual(core.vehicle), world, commands)
+        super().__init__(sooner, core, sensor_spec, no_residual(core.vehicle), world, commands)
         self._spacing = self.control_period / PATH.samples
         longest = LONGEST + max(PATH.looks + 2 * self.control_period, core.node_times[-1])
         self.node_times = self._spacing * np.arange(math.ceil(longest / self._spacing) + 2)
@@ -60,13 +61,17 @@ class AutoLaw(Auto):
         self._plans({}, sooner.tuned, law_form, *form)
         self._sooner = sooner
 
-    def _compared(self, told: Told, now: np.ndarray) -> tuple[list[Operation], dict[str, np.ndarray], np.ndarray]:
+    def _compared(self, inputs: InputArrays, now: np.ndarray) -> tuple[list[Call], dict[str, np.ndarray], np.ndarray]:
         """See Auto."""
         thrust, mean = self._delivered.thrusts
-        return self._delivered.before(), {"x": now, "reading": told.force, "thrust": thrust, "mean": mean}, told.read
+        return (
+            self._delivered.before(),
+            {"x": now, "reading": inputs.specific_force, "thrust": thrust, "mean": mean},
+            inputs.accelerometer_valid,
+        )
 
-    def _retuned(self, when: np.ndarray | None = None) -> list[Operation]:
-        """See Auto: what was told of the path is of another time."""
+    def _retuned(self, when: np.ndarray | None = None) -> list[Call]:
+        """See Auto: what was given the path is of another time."""
         return [*super()._retuned(when), copy(self._sooner.memory.of_next["goes_on"], np.zeros(1), when)]
 
     def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
@@ -78,7 +83,7 @@ def law_form(
     acts: Decision, period: float, count: int, parts: int, spacing: float, nodes: tuple[float, ...], believes: bool
 ) -> tuple[Any, ...]:
     """See plan_function. count: of commands, parts: of the prediction. spacing: of the reference, which is looked at in
-    these nodes (s). believes: whether it may be told a force; in the world of the model alone, predicting further
+    these nodes (s). believes: whether it may be given a force; in the world of the model alone, predicting further
     would mislead it."""
     dead_time, lag = believes * acts.dead_time, believes * acts.lag
     ahead = dead_time + lag
@@ -90,11 +95,11 @@ def law_form(
 
 
 class Sooner(WrappedController):
-    """A law that is told the state and the reference of the time at which its command acts.
+    """A law that is given the state and the reference of the time at which its command acts.
 
-    commands: that were sent. world: what is believed of it, for the prediction, written here. tuned: arrays of what
-    commands wait and lag, see law_form: of the prediction; how far ahead it is told, and from when on, `at` (s), a jump
-    is seen, and in which rows of the reference.
+    commands: that were sent. world: what is assumed of it, for the prediction, written here. tuned: arrays of what
+    commands wait and lag, see law_form: of the prediction; how far ahead it is given, and from when on, `at` (s), a
+    jump is seen, and in which rows of the reference.
     """
 
     def __init__(self, core: Any, commands: SentCommands, world: dict[str, np.ndarray]) -> None:
@@ -102,12 +107,12 @@ class Sooner(WrappedController):
         residual = no_residual(core.vehicle)
         self._ahead = Ahead(core.vehicle, residual, core.backend, commands, world, LONGEST)
         self._rows, self.parts = np.zeros(3), self._ahead.parts  # of the reference
-        self._later = built(core.backend, later, core.vehicle, core.control_period)
+        self._later = cached_function(core.backend, later, core.vehicle, core.control_period)
         self.memory, self.believed = Memory("Sooner", sizes_of([self._later])), Memory("Believed", worked=world)
         self._tuned = {"ahead": np.zeros(1), "at": np.zeros(1)}
         told = [*self._ahead.tuned, *self._tuned.values(), self._rows]
         self.tuned = dict(zip(OF_LAW, told, strict=True))
-        self._world = BufferedFunction(built(core.backend, world_of, core.vehicle), into=world)
+        self._world = BufferedFunction(cached_function(core.backend, world_of, core.vehicle), into=world)
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
@@ -118,31 +123,31 @@ class Sooner(WrappedController):
     @property
     def believed_numbers(self) -> np.ndarray:
         """Of the law; (11,)."""
-        inner: Any = self.inner
-        numbers: np.ndarray = inner.believed_numbers
+        wrapped: Any = self.wrapped
+        numbers: np.ndarray = wrapped.believed_numbers
         return numbers
 
     def believe(self, belief: Any) -> None:
         """See control.base.Belief."""
         self.believed_numbers[:] = np.hstack([*belief])
 
-    def instant(self, told: Told, state: np.ndarray) -> Instant:
-        """See control.instant."""
+    def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
+        """See control.control_step."""
         left = {"path_then": np.zeros((DERIVATIVES, 3)), "yaw_then": np.zeros(4)}
         predicted, then = self._ahead.before(state)
         states, thrusts = np.zeros((3, N_STATE)), np.zeros((2, self.vehicle.n_rotors))
-        places = {"states": states, "path": told.path, "yaw": told.yaw, **self._tuned}
-        operations = [Operation("window", states, self._rows, thrusts)]
-        operations.append(call(connected(self._later, places, left, self.memory)))
-        inside = copying.copy(told)
+        places = {"states": states, "path": inputs.path, "yaw": inputs.yaw, **self._tuned}
+        calls = [Call("window", states, self._rows, thrusts)]
+        calls.append(call(connected(self._later, places, left, self.memory)))
+        inside = copying.copy(inputs)
         inside.path, inside.yaw = left["path_then"], left["yaw_then"]  # type: ignore[assignment]  # of these shapes
-        inner = instant_of(self.inner, inside, then)
-        if hasattr(self.inner, "believed_numbers"):
+        step = control_step_of(self.wrapped, inside, then)
+        if hasattr(self.wrapped, "believed_numbers"):
             world, found = self._world.arguments, self._world.results
             believed = [copy(world["belief"], self.believed_numbers), copy(world["path"], left["path_then"])]
-            operations = [*operations, *believed, call(self._world), copy(self.believed_numbers[:3], found["force"])]
-        memory = (*inner.memory, self.memory, self.believed)
-        return inner._replace(operations=[*predicted, *operations, *inner.operations], memory=memory)
+            calls = [*calls, *believed, call(self._world), copy(self.believed_numbers[:3], found["force"])]
+        memory = (*step.memory, self.memory, self.believed)
+        return step._replace(calls=[*predicted, *calls, *step.calls], memory=memory)
 
 
 def later(vehicle: Vehicle, period: float) -> ca.Function:
@@ -203,11 +208,11 @@ def later(vehicle: Vehicle, period: float) -> ca.Function:
 
 
 def world_of(vehicle: Vehicle) -> ca.Function:
-    """What a law is told of a force, and the prediction of the world: push (6,), acceleration, world, and angular
+    """What a law is given a force, and the prediction of the world: push (6,), acceleration, world, and angular
     acceleration, body; wind (3,); scale of the thrust.
 
-    belief: (11,). path (3, 5): position .. snap, that the law is told. A force F is told as far as there is thrust left
-    beside what the path takes, with b = m (a + g e_z) the largest share s of it, up to 1, for which
+    belief: (11,). path (3, 5): position .. snap, that the law is given. A force F is given as far as there is thrust
+    left beside what the path takes, with b = m (a + g e_z) the largest share s of it, up to 1, for which
 
         |b - s F| <= TURNING n T_max
 

@@ -11,13 +11,13 @@ from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.memory import Memory
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Window
-from quadexp.control.built import built
+from quadexp.control.cached_function import cached_function
+from quadexp.control.control_step import Call, ControlStep, InputArrays, call, copy
 from quadexp.control.delivered import INSTANT
-from quadexp.control.instant import Instant, Operation, Told, call, copy
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.dead_time import MotorLead
 from quadexp.control.wrapped import parameters_of
-from quadexp.parts.sensor_sheet import SensorSheet, later_speeds
+from quadexp.parts.sensor_spec import SensorSpec, later_speeds
 from quadexp.physics.expression import limited, named_function, named_symbols, split
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.plugins.auto.ahead import CommandsAhead, prediction_numbers, sent_commands, span_weights
@@ -25,21 +25,21 @@ from quadexp.plugins.auto.auto import Auto
 from quadexp.plugins.auto.decide import Decision, grids
 from quadexp.plugins.auto.disturbance import speeds_tell
 from quadexp.plugins.auto.settings import DECISION
-from quadexp.plugins.remedies.earlier import Earlier
+from quadexp.plugins.remedies.delay_line import DelayLine
 
 
 class AutoMPC(Auto):
-    """The MPC plans in the world that is believed in; its grid and weights are one of DECISION.grids."""
+    """The MPC plans in the world that is assumed; its grid and weights are one of DECISION.grids."""
 
-    def __init__(self, core: PredictiveController, sheet: SensorSheet) -> None:
-        core.targets = speeds_tell(core.vehicle, sheet)  # else of next to no weight beside that of the position
+    def __init__(self, core: PredictiveController, sensor_spec: SensorSpec) -> None:
+        core.targets = speeds_tell(core.vehicle, sensor_spec)  # else of next to no weight beside that of the position
         numbers, mpc = core.believed_numbers, core.mpc
         assert core.believed is not None and mpc.disturbance is not None
-        self._last = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}  # believed in the last step
+        self._last = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}  # assumed the last step
         self._believed = Memory("Believed", worked=self._last)
         self._now = {"push": mpc.disturbance, "wind": numbers[6:9], "scale": numbers[9:10]}
         commands = sent_commands(core.vehicle, core.control_period)
-        super().__init__(core, core, sheet, mpc.residual, {"theta": parameters_of(core), **self._last}, commands)
+        super().__init__(core, core, sensor_spec, mpc.residual, {"theta": parameters_of(core), **self._last}, commands)
         self._world, self._grids = core.believed, grids(core.settings)
         core.predictor, core.lead = CommandsAhead(mpc), MotorLead(mpc.limits, core.settings, core.backend)
         self._spacing = self.control_period / DECISION.samples
@@ -54,55 +54,64 @@ class AutoMPC(Auto):
         tuned = dict(zip(OF_MPC, [*ahead.ahead.tuned, ahead.delivered.tuned, core.lead.gain], strict=True))
         tuned |= self._world.times | {name: mpc.step.arguments[name] for name in mpc.weights(core.settings)}
         self._plans(self._table, tuned, mpc_form, self._spacing, sent, ahead.ahead.parts, sizes)
-        function = built(core.backend, resampled, *mpc._X.T.shape, mpc._U.shape[1])
+        function = cached_function(core.backend, resampled, *mpc._X.T.shape, mpc._U.shape[1])
         before, worked = self._memory.of_now["decision"][4:5], mpc.memory.of_next  # X, U, guess
         places = {"X": mpc._X, "U": mpc._U, "grids": np.array(nodes), "before": before}
         self._resample = BufferedFunction(function, places | {"after": self._memory.of_next["decision"][4:5]})
         moved = self._resample.results
         self._worked = [(to, of.reshape(-1)) for to, of in zip(worked.values(), moved.values(), strict=True)]
-        whole = round(later_speeds(sheet) / self.control_period) * self.control_period  # thrusts jump in between
-        self._earlier = Earlier(N_STATE + 4, whole, self.control_period, core.backend)
+        whole = round(later_speeds(sensor_spec) / self.control_period) * self.control_period  # thrusts jump in between
+        self._delay_line = DelayLine(N_STATE + 4, whole, self.control_period, core.backend)
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         super().reset(x, window)
-        self._earlier.reset(np.concatenate([x, np.zeros(4)]))
+        self._delay_line.reset(np.concatenate([x, np.zeros(4)]))
         for name, value in (("push", 0.0), ("wind", 0.0), ("scale", 1.0)):
             self._last[name][...] = value
         self._believed.commit()
 
     def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
         """See Auto."""
-        kept = self._earlier.memory
+        kept = self._delay_line.memory
         seen = np.tile(np.concatenate([x, np.zeros(4)]), kept.now.size // (N_STATE + 4))
         ahead = self._core.predictor
         sent = {"commands": np.tile(thrust, len(ahead.sent.values))}
         begun = [(ahead.memory, sent), (kept, {"kept": seen}), (self._believed, {"scale": np.ones(1)})]
         return [*super().starts(x, thrust), *begun]
 
-    def instant(self, told: Told, state: np.ndarray) -> Instant:
-        """See control.instant."""
-        made = super().instant(told, state)
-        operations = [*made.operations, *(copy(self._last[k], v) for k, v in self._now.items())]
-        return made._replace(operations=operations, memory=(*made.memory, self._earlier.memory, self._believed))
+    def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
+        """See control.control_step."""
+        made = super().control_step(inputs, state)
+        calls = [*made.calls, *(copy(self._last[k], v) for k, v in self._now.items())]
+        return made._replace(calls=calls, memory=(*made.memory, self._delay_line.memory, self._believed))
 
-    def _compared(self, told: Told, now: np.ndarray) -> tuple[list[Operation], dict[str, np.ndarray], np.ndarray]:
+    def _compared(self, inputs: InputArrays, now: np.ndarray) -> tuple[list[Call], dict[str, np.ndarray], np.ndarray]:
         """See Auto. Rotor speeds are compared with the state and reading of their time."""
         if not self._by_speeds:
             thrust, mean = self._delivered.thrusts
-            known = {"x": now, "reading": told.force, "thrust": thrust, "mean": mean}
-            return self._delivered.before(), known, told.read
-        seen, earlier, thrust = np.zeros(N_STATE + 4), self._earlier, np.zeros(self.vehicle.n_rotors)
-        operations = [copy(seen[:N_STATE], now), copy(seen[N_STATE:-1], told.force), copy(seen[-1:], told.read)]
+            known = {"x": now, "reading": inputs.specific_force, "thrust": thrust, "mean": mean}
+            return self._delivered.before(), known, inputs.accelerometer_valid
+        seen, delay_line, thrust = np.zeros(N_STATE + 4), self._delay_line, np.zeros(self.vehicle.n_rotors)
+        calls = [
+            copy(seen[:N_STATE], now),
+            copy(seen[N_STATE:-1], inputs.specific_force),
+            copy(seen[-1:], inputs.accelerometer_valid),
+        ]
         coefficient = self.vehicle.thrust_coefficient or 0.0
-        square = Operation("square", thrust, told.speed, factor=coefficient, when=told.turning)
-        operations += [*earlier.before(seen), square]
+        square = Call("square", thrust, inputs.rotor_speed, factor=coefficient, when=inputs.rotor_speed_valid)
+        calls += [*delay_line.before(seen), square]
         read = np.zeros(1)
-        operations += [copy(read, earlier.oldest[-1:]), copy(read, told.turning, earlier.oldest[-1:])]
-        then = {"x": earlier.then[:N_STATE], "reading": earlier.then[N_STATE:-1], "thrust": thrust, "mean": thrust}
-        return operations, then, read
+        calls += [copy(read, delay_line.oldest[-1:]), copy(read, inputs.rotor_speed_valid, delay_line.oldest[-1:])]
+        then = {
+            "x": delay_line.output[:N_STATE],
+            "reading": delay_line.output[N_STATE:-1],
+            "thrust": thrust,
+            "mean": thrust,
+        }
+        return calls, then, read
 
-    def _retuned(self, when: np.ndarray | None = None) -> list[Operation]:
+    def _retuned(self, when: np.ndarray | None = None) -> list[Call]:
         """See Auto. Where the grid is another one the last solution is moved to its nodes."""
         tune = super()._retuned(when)
         if when is None:

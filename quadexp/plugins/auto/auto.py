@@ -1,9 +1,9 @@
 """One setting for a vehicle that nobody measured: a controller inside a multiple-model adaptive estimator.
 
-    told state, readings -> state of now -> disturbance filter (disturbance.py) -> belief -> MPC or law -> command
+    given state, readings -> state of now -> disturbance filter (disturbance.py) -> belief -> MPC or law -> command
     every period of the bank (bank.py): moments;  from time to time: posterior (posterior.py) -> decision (decide.py)
 
-It is told the vehicle, which sensors there are and their noise; nothing of delays, lags, air, load, battery or wind. A
+It is given the vehicle, which sensors there are and their noise; nothing of delays, lags, air, load, battery or wind. A
 flight begins as if nothing were known. What is remembered: the bank's memory and moments, that of the filter, the sent
 commands, the last decision. Columns: COLUMNS, delays in s with their 95 % intervals.
 """
@@ -21,15 +21,15 @@ from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.memory import Memory, connected
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Window
-from quadexp.control.built import built
+from quadexp.control.cached_function import cached_function
+from quadexp.control.control_step import Call, ControlStep, InputArrays, call, control_step_of, copy, run
 from quadexp.control.delivered import SentCommands
 from quadexp.control.inputs import Circumstances, Inputs
-from quadexp.control.instant import Instant, Operation, Told, call, copy, instant_of, run
 from quadexp.control.layer import Layer
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.wrapped import WrappedController, air_of, parameters_of, thrust_at_start
 from quadexp.models.residual import Residual
-from quadexp.parts.sensor_sheet import SensorSheet, Stated
+from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.physics.expression import named_function
 from quadexp.physics.state import N_STATE
 from quadexp.plugins.auto.ahead import Ahead, Delivered, prediction_numbers, span_weights
@@ -55,61 +55,63 @@ class Auto(WrappedController):
     """A controller that finds out in flight what makes its model wrong.
 
     inner: the controller that it stands around. core: the MPC or law inside. sheet: of the sensors. residual: of the
-    prediction to now. believed: arrays of the believed world, for Ahead. commands: those that were sent.
+    prediction to now. assumed: arrays of the assumed world, for Ahead. commands: those that were sent.
     A subclass says how it plans (`_plan`), and what delivered thrusts its filter compares (`_compared`).
     """
 
     delay = 0.0  # of a flight that begins
 
     def __init__(
-        self, inner: Controller, core: Any, sheet: SensorSheet, residual: Residual, believed: dict[str, np.ndarray],
+        self, wrapped: Controller, core: Any, sensor_spec: SensorSpec, residual: Residual, believed: dict[str,
+        np.ndarray],
         commands: SentCommands,
     ) -> None:  # fmt: skip
-        super().__init__(inner)
+        super().__init__(wrapped)
         self._core, self._sheet, self._commands, vehicle, period = (
             core,
-            sheet,
+            sensor_spec,
             commands,
-            inner.vehicle,
+            wrapped.vehicle,
             self.control_period,
         )
-        self._to_now = Ahead(vehicle, residual, inner.backend, commands, believed)
+        self._to_now = Ahead(vehicle, residual, wrapped.backend, commands, believed)
         self._late = np.zeros(1)
         part, about = TunedStrapdown(time=BANK.largest_age), Circumstances(period)
-        self._strapdown = Layer(inner, part, about, places={"late": self._late})
+        self._strapdown = Layer(wrapped, part, about, places={"late": self._late})
         force, turn, attitude = (
-            Stated() if one is None else one for one in (sheet.accelerometer, sheet.gyroscope, sheet.attitude)
+            Stated() if one is None else one
+            for one in (sensor_spec.accelerometer, sensor_spec.gyroscope, sensor_spec.attitude)
         )
         air, theta = air_of(core), parameters_of(core)
         noise, spans = (force.noise, turn.noise, attitude.noise), (force.within(period), turn.within(period))
-        self._bank = Bank(vehicle, air, theta, period, inner.backend, noise, spans)
+        self._bank = Bank(vehicle, air, theta, period, wrapped.backend, noise, spans)
         predictive, self.believes = isinstance(core, PredictiveController), hasattr(core, "believed_numbers")
-        self._by_speeds, wind = predictive and speeds_tell(vehicle, sheet), WindObserver()
+        self._by_speeds, wind = predictive and speeds_tell(vehicle, sensor_spec), WindObserver()
         bandwidth = wind_bandwidth(vehicle, air, theta, wind, period) if predictive else 0.0
         slope = bandwidth * wind.noise[0] * math.sqrt(period) / wind.wind_walk
         self._has_drag = bandwidth >= DISTURBANCE.least_drag_bandwidth and not self._by_speeds
-        of = sources(vehicle, sheet, slope * self._has_drag, by_speeds=self._by_speeds)
+        of = sources(vehicle, sensor_spec, slope * self._has_drag, by_speeds=self._by_speeds)
         self._memory = Memory("Auto", KEPT)
         now, flags = self._memory.of_now, ("searches", "refines")
         told = {name: self._bank.part(name) for name in ("lateral", "noise")}
         told |= {"timing": now["decision"][-1:], "apart": now["apart"]}
-        self._filter = DisturbanceFilter(vehicle, air, theta, period, inner.backend, of, told)
-        self._search = Search(self._bank, inner.backend, {name: now[name] for name in flags}, now["against"])
-        # By which age and delays cannot be told apart: by readings that are old, or as old as nobody says, as far as a
-        # data sheet may be wrong; and within a period of the bank a faster law answers to noise.
-        apart = BANK.sheet_factor / INTERVAL.band * max(force.delay or 0.0, turn.delay or 0.0)
+        self._filter = DisturbanceFilter(vehicle, air, theta, period, wrapped.backend, of, told)
+        self._search = Search(self._bank, wrapped.backend, {name: now[name] for name in flags}, now["against"])
+        # By which age and delays cannot be distinguished: by readings that are old, or as old as nobody says, as far as
+        # a data sheet may be wrong; and within a period of the bank a faster law answers to noise.
+        apart = BANK.spec_factor / INTERVAL.band * max(force.delay or 0.0, turn.delay or 0.0)
         apart += self._bank.period - period + max(period - INTERVAL.longest_period, 0.0)
         unsaid = turn.delay is None and bool(attitude.delay)
         lately = commands.values[-max(2, round(DECISION.saturation_memory / period)) :].reshape(-1)
         form = vehicle, period, self._bank.period, lately.size, apart
-        function = built(inner.backend, decision_function, *form, unsaid=unsaid)
+        function = cached_function(wrapped.backend, decision_function, *form, unsaid=unsaid)
         places = {name: self._bank.memory.of_next[name] for name in ("count", "weights", "noise")}
         places |= {"commands": lately, "acts": self._filter.acts, "centre": self._search.left["mode"]}
         places |= self._search.found | {name: self._search.left[name] for name in ("rates", "odds", "at_end")}
         self._decide = connected(function, places, {}, self._memory)
         self._newer, self._judged, self._begin = np.zeros(1), False, NOTHING
         self._rows = np.zeros(len(core.node_times))
-        self._delivered = Delivered(commands, inner.backend, 2)  # now, and over the last period
+        self._delivered = Delivered(commands, wrapped.backend, 2)  # now, and over the last period
         self._tune: BufferedFunction
         self._plan: Memory
 
@@ -119,15 +121,15 @@ class Auto(WrappedController):
         common = [*self._to_now.tuned, self._late, self._newer, self._delivered.tuned, self._rows]
         tuned = dict(zip(COMMON, common, strict=True)) | tuned
         period, count, parts = self.control_period, len(self._commands.values), self._to_now.parts
-        function = built(self.backend, plan_function, form, period, count, parts, *about)
+        function = cached_function(self.backend, plan_function, form, period, count, parts, *about)
         self._tune = BufferedFunction(function, places | {"decision": self._memory.of_next["decision"]}, tuned)
         self._plan = Memory("Plan", worked=self._tune.results)
 
-    def _retuned(self, when: np.ndarray | None = None) -> list[Operation]:
+    def _retuned(self, when: np.ndarray | None = None) -> list[Call]:
         """Plan with the last decision from now on."""
         return [call(self._tune, when)]
 
-    def _compared(self, told: Told, now: np.ndarray) -> tuple[list[Operation], dict[str, np.ndarray], np.ndarray]:
+    def _compared(self, inputs: InputArrays, now: np.ndarray) -> tuple[list[Call], dict[str, np.ndarray], np.ndarray]:
         """What leaves state, reading, thrust and mean of one time, see DisturbanceFilter, and whether it was read."""
         raise NotImplementedError
 
@@ -173,44 +175,44 @@ class Auto(WrappedController):
             (self._memory, start_of(NOTHING)), (self._plan, plan),
         ]  # fmt: skip
 
-    def instant(self, told: Told, state: np.ndarray) -> Instant:
-        """See control.instant."""
+    def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
+        """See control.control_step."""
         belief = self._filter.belief
-        propagated, by_readings = self._strapdown.calls("before", told, state), self._strapdown.results["state"]
+        propagated, by_readings = self._strapdown.calls("before", inputs, state), self._strapdown.results["state"]
         of_rates = np.zeros(N_STATE)  # the state of the time of the rates, and from there on by the model
         propagated += [copy(of_rates, state), copy(of_rates, by_readings, self._newer)]
         predicted, now = self._to_now.before(of_rates)
-        operations = [*propagated, *predicted]
+        calls = [*propagated, *predicted]
         if self.believes and (self._by_speeds or not self._judged):  # a push alone is evidence of a push
-            compared, of_one_time, read = self._compared(told, now)
-            operations += [*compared, *self._filter.before(of_one_time, read)]
-            operations.append(copy(self._told_belief, belief))
-        inner = instant_of(self.inner, told, now)
-        after = [*self._bank.after(told, state, inner.command), *self._commands.after(inner.command)]
+            compared, of_one_time, read = self._compared(inputs, now)
+            calls += [*compared, *self._filter.before(of_one_time, read)]
+            calls.append(copy(self._told_belief, belief))
+        step = control_step_of(self.wrapped, inputs, now)
+        after = [*self._bank.after(inputs, state, step.command), *self._commands.after(step.command)]
         beliefs = self._memory.of_now["beliefs"]
-        logged = (*inner.logged, belief, beliefs, self._filter.acts, self._filter.deviations)
-        memory = (*inner.memory, self._strapdown.memory, self._filter.memory, self._commands.memory)
+        logged = (*step.logged, belief, beliefs, self._filter.acts, self._filter.deviations)
+        memory = (*step.memory, self._strapdown.memory, self._filter.memory, self._commands.memory)
         memory = (*memory, self._bank.memory, self._bank.sums)
         if not self._judged:
-            after += [*self._search.operations(), call(self._decide), self._search.moved()]
+            after += [*self._search.calls(), call(self._decide), self._search.moved()]
             after += self._retuned(self._decide.results["retunes"])
             memory = (*memory, self._search.memory, self._memory, self._plan)
-        return inner._replace(operations=[*operations, *inner.operations, *after], logged=logged, memory=memory)
+        return step._replace(calls=[*calls, *step.calls, *after], logged=logged, memory=memory)
 
     @property
     def _told_belief(self) -> np.ndarray:
-        """Where the inner controller is told of a belief, (11,)."""
-        inner: Any = self.inner
+        """Where the wrapped controller is given a belief, (11,)."""
+        inner: Any = self.wrapped
         numbers: np.ndarray = inner.believed_numbers
         return numbers
 
     @property
-    def lacking(self) -> list[str]:
+    def missing_inputs(self) -> list[str]:
         """What it lacks here, and what that leaves undone; a line each."""
         missing = {
             "no accelerometer: delays, wind and force are not found": not self._sheet.accelerometer,
             "no speeds of rotors that tell thrusts: these follow from the commands": not self._by_speeds,
-            "a law that cannot be told a force or wind: only a late state is corrected": not self.believes,
+            "a law that cannot be given a force or wind: only a late state is corrected": not self.believes,
             "no drag in the model that shows a wind: it is a force": self.believes
             and not (self._has_drag or self._by_speeds),
         }
@@ -220,7 +222,7 @@ class Auto(WrappedController):
         """See Controller.log."""
         believed = dict(zip(BELIEVED, self._filter.belief.tolist(), strict=True))
         own = [*self._memory.of_now["beliefs"], *self._filter.acts, *self._filter.deviations]
-        return {**self.inner.log(), **believed, **dict(zip(COLUMNS, map(float, own), strict=True))}
+        return {**self.wrapped.log(), **believed, **dict(zip(COLUMNS, map(float, own), strict=True))}
 
 
 COMMON = "late_dt", "late_weights", "late_moves", "late", "newer", "delivered", "rows"  # of what any of them tunes

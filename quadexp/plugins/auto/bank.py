@@ -28,9 +28,9 @@ import numpy as np
 
 from quadexp.compile.memory import NEXT, NOW, Memory, Sums, connected, sizes_of
 from quadexp.compile.symbolic import ca
-from quadexp.control.built import built
+from quadexp.control.cached_function import cached_function
+from quadexp.control.control_step import Call, InputArrays, call, copy
 from quadexp.control.delivered import SETTLED
-from quadexp.control.instant import Operation, Told, call, copy
 from quadexp.models.residual import Residual
 from quadexp.physics.expression import Expression, named_function, named_symbols
 from quadexp.physics.rigid_body import body_features
@@ -61,7 +61,7 @@ class Layout:
 
 
 class Bank:
-    """The sums of a flight; `reset` begins one, and its operations stand `after` the controller's.
+    """The sums of a flight; `reset` begins one, and its calls stand `after` the controller's.
 
     theta: parameters of the residual, shared. noise: stated, of a reading of accelerometer (m/s^2), gyroscope (rad/s)
     and attitude (rad). spans: over which readings of accelerometer and gyroscope are means (s).
@@ -76,7 +76,7 @@ class Bank:
         self.vehicle, self.spans, self.every = vehicle, spans, max(1, round(BANK.period / control_period))
         self.period = self.every * control_period
         self.layout = layout = Layout(self.period)
-        function = built(backend, bank_function, vehicle, residual, self.period, self.every)
+        function = cached_function(backend, bank_function, vehicle, residual, self.period, self.every)
         self.memory = Memory("Bank", sizes_of([function]) | {"sent": vehicle.n_rotors})
         self._update = connected(function, {"theta": theta}, {}, self.memory)
         given = self._update.arguments
@@ -121,24 +121,28 @@ class Bank:
         self.memory.begin(self.start(x, thrust))
         self.sums.begin({})
 
-    def after(self, told: Told, state: np.ndarray, command: np.ndarray) -> list[Operation]:
-        """Takes in what is told, the state that is found there, (13,), and then the command, (n,) (N)."""
+    def after(self, inputs: InputArrays, state: np.ndarray, command: np.ndarray) -> list[Call]:
+        """Takes in what is given, the state that is found there, (13,), and then the command, (n,) (N)."""
         given, left = self._update.arguments, self._update.results
-        due = [copy(given["x"], state), copy(given["f"], told.force), copy(given["read"], told.read)]
+        due = [
+            copy(given["x"], state),
+            copy(given["f"], inputs.specific_force),
+            copy(given["read"], inputs.accelerometer_valid),
+        ]
         due.append(call(self._update))
         fading = math.exp(-self.period / BANK.forgetting)
         for name, moments in self.moments.items():
             rows = left[f"{name}_z"].reshape(len(moments), -1, moments.shape[-1])
-            due.append(Operation("gather", moments, rows, factor=fading))
+            due.append(Call("gather", moments, rows, factor=fading))
         sent = self.memory.of_next["sent"]
         due.append(copy(sent, np.zeros(self.vehicle.n_rotors)))
-        return [*(o._replace(every=self.every) for o in due), Operation("add", sent, sent, command)]
+        return [*(o._replace(every=self.every) for o in due), Call("add", sent, sent, command)]
 
 
 @cache
-def stationary_gain(noise: float, walk: float, period: float) -> tuple[float, float]:
+def stationary_gain(noise: float, random_walk: float, period: float) -> tuple[float, float]:
     """Gains on rate and torque of the stationary filter of the gyroscope, see BankSettings.gyro_models."""
-    F, Q = np.array([[1.0, period], [0.0, 1.0]]), np.diag([BANK.rate_walk**2, walk**2]) * period
+    F, Q = np.array([[1.0, period], [0.0, 1.0]]), np.diag([BANK.rate_walk**2, random_walk**2]) * period
     P = np.eye(2)
     for _ in range(3000):
         P = F @ P @ F.T + Q
@@ -156,7 +160,7 @@ def first_order_gain(ratio: Expression) -> Any:
 def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: int) -> ca.Function:
     """A period of the bank: memory after it, and the rows z of each filter, one after another.
 
-    Inputs: memory, see Layout, and `sent` (n,), the commands since the last period, added (N); x (13,), told; f (3,),
+    Inputs: memory, see Layout, and `sent` (n,), the commands since the last period, added (N); x (13,), given; f (3,),
     reading, and whether it was `read`; stated noise (m/s^2); attitude_gain, of its filter; theta.
     """
     layout, n = Layout(period), vehicle.n_rotors
@@ -220,7 +224,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     back = ca.vertcat(last[ATTITUDE][0], -last[ATTITUDE][1:])
     relative = product(back, x[ATTITUDE] * ca.sign(ca.dot(x[ATTITUDE], last[ATTITUDE])))
     rotated = 2 * relative[1:] * (1 + ca.sumsqr(relative[1:]) / 6)  # the arc of a sine, to third order
-    flown = time > BANK.largest_age + 2 * period  # until then told attitudes may be those from before the flight
+    flown = time > BANK.largest_age + 2 * period  # until then given attitudes may be those from before the flight
     before = flown * ca.reshape(kept["attitude_before"], columns, 3)
     attitude = ca.vertcat(rotated.T, period * rates.T, period * ca.DM.eye(3))
     attitude = attitude + (1 - a["attitude_gain"]) * ca.mtimes(before, rotation_matrix(relative))
@@ -233,7 +237,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     measured = (-ca.dot(change, kept["change"]) / 2, ca.sum1(products[:3]) / 3, ca.sum1(products[3:]) / 3)
     share = ca.fmax(1 / (count + 5), period / BANK.noise_memory) * (count > 2) * ca.vertcat(read, 1, 1)
     noise = kept["noise"] + share * (ca.vertcat(*measured) - kept["noise"])
-    within = [(a["stated"] * BANK.sheet_factor**sign) ** 2 for sign in (-1, 1)]
+    within = [(a["stated"] * BANK.spec_factor**sign) ** 2 for sign in (-1, 1)]
     lateral = ca.fmin(ca.fmax(noise[0], within[0]), within[1])
 
     now = {

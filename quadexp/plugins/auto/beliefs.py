@@ -1,6 +1,6 @@
-"""What a flight with remedies=auto believed of its world, with 95 % bands, and what was true where the world says so.
+"""What a flight with remedies=auto assumed of its world, with 95 % bands, and what was true where the world says so.
 
-What is believed no better than LIMITS was not identifiable on this path: nothing in it showed that quantity.
+What is assumed no better than LIMITS was not identifiable on this path: nothing in it showed that quantity.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ QUANTITIES = {  # column: name, unit, factor, column of the deviation; "": there
 
 
 class Belief(NamedTuple):
-    """One quantity over a flight, with its 95 % interval. value, low, high: (k,), NaN as long as nothing is believed;
+    """One quantity over a flight, with its 95 % interval. value, low, high: (k,), NaN as long as nothing is assumed;
     high is infinite where the value is one "at least". true: (k,), or NaN where the world does not say. scale: of
     LIMITS."""
 
@@ -65,7 +65,7 @@ def beliefs(flight: Flight) -> list[Belief]:
     """Those of a flight with remedies=auto, none of one that was over at once; DataError for another one."""
     columns, vehicle = flight.columns, flight.metadata["config"]["vehicle"]
     if "auto_age" not in columns:
-        raise DataError("this flight believed nothing: it was not flown with remedies=auto")
+        raise DataError("this flight assumed nothing: it was not flown with remedies=auto")
     if len(flight) < 2:
         return []
     true, unknown, quantities = truths(flight), np.full(len(flight), np.nan), []
@@ -137,7 +137,7 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
 
 def _thrust_scale(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
     """What rotors gave in the last LAST of what was commanded, after dead time and lag (s), over the mass in that which
-    is believed, (k,). NaN where no column shows what the world has: a factor that is drawn, a payload, a rotor that
+    is assumed, (k,). NaN where no column shows what the world has: a factor that is drawn, a payload, a rotor that
     fails."""
     columns, config, n = flight.columns, flight.metadata["config"], flight.input.shape[1]
     actuator, truth, speeds = config.get("actuator", {}), config.get("truth", {}), "rotor_speed_0" in columns
@@ -162,22 +162,22 @@ def lag_of(up: float, down: float) -> float:
 
 
 def _age(flight: Flight, stated: float) -> float:
-    """Mean age of the attitudes that were told (s): a reading with a rate grows older until the next one comes. stated:
-    that of what is told at every instant."""
+    """Mean age of the attitudes that were given (s): a reading with a rate grows older until the next one comes.
+    stated: that of what is given at every instant."""
     taken = flight.columns.get("taken_attitude", np.full(len(flight), flight.t[0]))
     ages = (flight.t - taken)[taken > flight.t[0]]  # until the first arrives the start's holds
     return float(ages.mean()) if len(ages) else stated
 
 
 def by_rotor_speeds(flight: Flight) -> bool:
-    """Whether rotor speeds told the thrusts: with them alone the air is scaled."""
+    """Whether rotor speeds given the thrusts: with them alone the air is scaled."""
     return bool(np.ptp(flight.columns.get("observer_air_scale", np.ones(1))) > 0)
 
 
 def true_force(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
-    """What acts beside gravity and the thrusts that are believed, on a model without air: m (a + g e_z) - T R e_z,
-    world (N), (k, 3); m: the mass that is believed, a: of the true velocity over the last period. T: of the commands
-    after dead time and lag, or at the instants that of the rotors' speeds, times the scale that is believed."""
+    """What acts beside gravity and the thrusts that are assumed, on a model without air: m (a + g e_z) - T R e_z,
+    world (N), (k, 3); m: the mass that is assumed, a: of the true velocity over the last period. T: of the commands
+    after dead time and lag, or at the instants that of the rotors' speeds, times the scale that is assumed."""
     vehicle, up, period = flight.metadata["config"]["vehicle"], _up(flight), float(flight.t[1] - flight.t[0])
     followed = commanded_thrust(flight, dead_time, lag)
     thrust, scale = followed.mean(axis=1), flight.columns.get("observer_thrust_scale", 1.0)
@@ -217,12 +217,12 @@ def _to_show(flight: Flight) -> list[Belief]:
     """Its beliefs; DataError where there are none."""
     quantities = beliefs(flight)
     if not quantities:
-        raise DataError("this flight believed nothing: it was over at once")
+        raise DataError("this flight assumed nothing: it was over at once")
     return quantities
 
 
 def beliefs_table(flight: Flight) -> Table:
-    """At the end of the flight. DataError where it believed nothing."""
+    """At the end of the flight. DataError where it assumed nothing."""
     rows = []
     for belief in _to_show(flight):
         value, low, high, true = (float(x[-1]) for x in (belief.value, belief.low, belief.high, belief.true))
@@ -231,12 +231,12 @@ def beliefs_table(flight: Flight) -> Table:
         band = "" if np.isnan(low) else f"at least {low:.3g}" if np.isinf(high) else f"{low:.3g} .. {high:.3g}"
         value = 0.0 if abs(value) < ROUNDED * (high - low) else value
         rows.append((belief.name, belief.unit, _text(value), band, _text(true), verdict))
-    return Table(("believed at the end", "unit", "value", "95 % band", "true", ""), rows, left=frozenset({0, 1, 5}))
+    return Table(("assumed at the end", "unit", "value", "95 % band", "true", ""), rows, left=frozenset({0, 1, 5}))
 
 
 @styled
 def beliefs_figure(flight: Flight) -> Figure:
-    """A panel for each quantity: what was believed, its band, and what was true. DataError where there is none."""
+    """A panel for each quantity: what was assumed, its band, and what was true. DataError where there is none."""
     quantities = _to_show(flight)
     figure = Figure(figsize=(9.0, 1.5 * len(quantities) + 0.6))
     panels = np.atleast_1d(figure.subplots(len(quantities), sharex=True))
@@ -246,7 +246,7 @@ def beliefs_figure(flight: Flight) -> Figure:
             np.isinf(belief.high), np.nanmax(np.maximum(belief.value, belief.low), initial=0.0), belief.high
         )
         panel.fill_between(t, low, high, color=HUES["blue"], alpha=0.2, linewidth=0)
-        panel.plot(t, belief.value, color=HUES["blue"], label="believed, 95 % band")
+        panel.plot(t, belief.value, color=HUES["blue"], label="assumed, 95 % band")
         if np.isfinite(belief.true).any():
             panel.plot(t, belief.true, color=HUES["vermillion"], linestyle=":", label="true")
         late = np.isfinite(high) & (t > t[-1] / 10)
@@ -261,7 +261,7 @@ def beliefs_figure(flight: Flight) -> Figure:
 
 
 def read_beliefs(path: Path) -> Flight:
-    """A flight from its file; DataError where it believed nothing."""
+    """A flight from its file; DataError where it assumed nothing."""
     flight = read_flight(path)
     _to_show(flight)
     return flight

@@ -61,9 +61,9 @@ class Decision(NamedTuple):
 NOTHING = Decision(0.0, 0.0, 0.0, 0.0, 0.0, DISTURBANCE.unknown_timing)  # before there is evidence
 
 
-class Senses(NamedTuple):
+class Statistics(NamedTuple):
     """What is measured beside the delays. position: noise of the estimated one (m). saturated, saturates: shares of
-    commands at a limit, lately and over longer. acts: whether a disturbance is believed."""
+    commands at a limit, lately and over longer. acts: whether a disturbance is assumed."""
 
     position: Expression = 0.0
     saturated: Expression = 0.0
@@ -71,7 +71,7 @@ class Senses(NamedTuple):
     acts: Expression = 0.0
 
 
-def decided(known: Expression, found: Mapping[str, Expression], last: Decision, senses: Senses) -> Decision:
+def decided(known: Expression, found: Mapping[str, Expression], last: Decision, statistics: Statistics) -> Decision:
     """What to act on from now on. found: mean and deviation, (3,), newer, odds, (2,), at_end, (3,), of a posterior;
     known: whether there is one."""
     s, stiffest = DECISION, len(DECISION.grids)
@@ -87,13 +87,13 @@ def decided(known: Expression, found: Mapping[str, Expression], last: Decision, 
     age, acted, lag, newer = ca.vertsplit(ca.if_else(small, before, wanted))
     timing = found["deviation"][1] + ca.fabs(total - acted) + found["deviation"][0] / 2
     grid = sum(timing + s.inexact * (age + acted) < one.timing for one in s.grids)
-    noisy = ca.logic_or(senses.position > s.large_noise, senses.saturates > s.saturates)
+    noisy = ca.logic_or(statistics.position > s.large_noise, statistics.saturates > s.saturates)
     grid = ca.fmin(grid, stiffest - ca.logic_or(acted >= s.stiff_total, noisy))
     grid = ca.fmin(grid, last.grid + 1)
-    grid = ca.if_else(senses.saturated > s.saturated, ca.fmin(grid, s.middle), grid)
+    grid = ca.if_else(statistics.saturated > s.saturated, ca.fmin(grid, s.middle), grid)
     grid = ca.if_else(ca.mmax(found["at_end"][:2]) > 0, 0, grid)
     # without evidence the softest grid would let the error stand for a second
-    unknown = ca.vertcat(*last[:4], ca.fmax(last.grid, senses.acts), last.timing)
+    unknown = ca.vertcat(*last[:4], ca.fmax(last.grid, statistics.acts), last.timing)
     return Decision(*ca.vertsplit(ca.if_else(known, ca.vertcat(age, acted - lag, lag, newer, grid, timing), unknown)))
 
 
@@ -119,8 +119,8 @@ def decision_function(
     """Memory after an instant, see KEPT, and whether a decision is another one than the last, or its grid is.
 
     count, weights, noise: of the bank. commands: the last ones (N). acts: of the disturbance. rates, odds, at_end: of
-    the coarse grid; centre, mode and FOUND of the finer one. apart: by which age and delays cannot be told apart (s).
-    unsaid: whether nobody says how old rates are beside the pose.
+    the coarse grid; centre, mode and FOUND of the finer one. apart: by which age and delays cannot be distinguished
+    (s). unsaid: whether nobody says how old rates are beside the pose.
     """
     s, searched = DECISION, {"rates": 1, "odds": 2, "at_end": 3, "centre": 4, "mode": 4} | FOUND
     shapes = {"count": 1, "weights": 3, "noise": 3, "commands": commands, "acts": 3, **searched}
@@ -137,8 +137,8 @@ def decision_function(
     share = looks * ca.if_else(soon, s.soonest, s.checks) / s.corners_memory
     saturates = kept["saturates"] + share * (saturated - kept["saturates"])
     position = ca.sqrt(ca.fmax(a["noise"][1], 0)) * (elapsed > BANK.measured_after)
-    senses = Senses(position, saturated, saturates, ca.mmax(a["acts"]) > 0)
-    crossed = ca.vertcat(position > s.large_noise, saturated > s.saturated, saturates > s.saturates, senses.acts)
+    statistics = Statistics(position, saturated, saturates, ca.mmax(a["acts"]) > 0)
+    crossed = ca.vertcat(position > s.large_noise, saturated > s.saturated, saturates > s.saturates, statistics.acts)
     often, seldom = (max(1, round(each / period)) for each in (s.soonest, s.checks))
 
     # the search goes on, or ends
@@ -161,7 +161,7 @@ def decision_function(
     # the decision
     is_known = ca.fmax(kept["known"], done)
     decides = ca.logic_or(done, looks * (phase == IDLE) * (ca.mmax(ca.fabs(crossed - kept["crossed"])) > 0))
-    decision = ca.vertcat(*decided(is_known, of, last, senses))
+    decision = ca.vertcat(*decided(is_known, of, last, statistics))
     decision = ca.if_else(decides, decision, kept["decision"])
     differs = ca.fabs(decision - kept["decision"]) > 0
     acts = Decision(*ca.vertsplit(decision))

@@ -6,7 +6,7 @@
 
 The air scale is estimated where rotor speeds tell the thrusts, the wind where the model has a drag that shows it, and
 otherwise the force walks as fast in its place. Each filter runs for a few walks: multiple models (Magill 1965). Which
-one is believed, and whether any, is decided at every instant for the part across the thrust, that along it and the
+one is assumed, and whether any, is decided at every instant for the part across the thrust, that along it and the
 torque apart. Any is where the log likelihood ratio of one against none, fading in noise_memory and never below zero,
 so that a quiet past does not count, is above evidence_on, until it is back at zero (generalised likelihood ratio,
 Willsky & Jones 1976; cumulative sum, Page 1954). Likelihoods are -(e' S^-1 e + log det S) / 2 of innovations e, S with
@@ -24,10 +24,10 @@ import numpy as np
 from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import N_BELIEF, no_belief
-from quadexp.control.built import built
-from quadexp.control.instant import Operation, call
+from quadexp.control.cached_function import cached_function
+from quadexp.control.control_step import Call, call
 from quadexp.models.residual import Residual
-from quadexp.parts.sensor_sheet import SensorSheet, Stated
+from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.physics.expression import limited, named_function, named_symbols
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
@@ -55,7 +55,7 @@ class Sources(NamedTuple):
 
     has_drag: bool
     by_speeds: bool
-    walk: tuple[float, ...]
+    random_walk: tuple[float, ...]
     initial: tuple[float, ...]
     reading: float
     thrust: float
@@ -64,39 +64,41 @@ class Sources(NamedTuple):
     force_offset: float
 
 
-def speeds_tell(vehicle: Vehicle, sheet: SensorSheet) -> bool:
-    """Whether the speeds of all rotors are told, often enough, and what thrusts they are."""
-    speeds = sheet.rotor_speed
+def speeds_tell(vehicle: Vehicle, sensor_spec: SensorSpec) -> bool:
+    """Whether the speeds of all rotors are given, often enough, and what thrusts they are."""
+    speeds = sensor_spec.rotor_speed
     return speeds is not None and vehicle.thrust_coefficient is not None and not 0 < speeds.rate < SPEEDS.least_rate
 
 
-def sources(vehicle: Vehicle, sheet: SensorSheet, slope: float, *, by_speeds: bool) -> Sources:
+def sources(vehicle: Vehicle, sensor_spec: SensorSpec, slope: float, *, by_speeds: bool) -> Sources:
     """slope: acceleration by wind where the vehicle hovers in a breeze (1/s); 0: no drag tells a wind."""
-    s, walk, initial = DISTURBANCE, np.zeros(N_ESTIMATE), np.zeros(N_ESTIMATE)
-    walk[FORCE], initial[FORCE], initial[SCALE] = s.force_walk, s.force_initial, s.scale_initial
-    walk[SCALE] = s.scale_walk
+    s, random_walk, initial = DISTURBANCE, np.zeros(N_ESTIMATE), np.zeros(N_ESTIMATE)
+    random_walk[FORCE], initial[FORCE], initial[SCALE] = s.force_walk, s.force_initial, s.scale_initial
+    random_walk[SCALE] = s.scale_walk
     if by_speeds:
-        walk[FORCE], walk[AIR], initial[AIR] = SPEEDS.force_walk, SPEEDS.air_walk, SPEEDS.air_initial
+        random_walk[FORCE], random_walk[AIR], initial[AIR] = SPEEDS.force_walk, SPEEDS.air_walk, SPEEDS.air_initial
         initial[SCALE] = SPEEDS.scale_initial
     elif slope:
-        walk[WIND], initial[WIND] = s.wind_walk, s.wind_initial
-        walk[FORCE], initial[FORCE] = s.force_walk_beside_wind, s.force_initial_beside_wind
+        random_walk[WIND], initial[WIND] = s.wind_walk, s.wind_initial
+        random_walk[FORCE], initial[FORCE] = s.force_walk_beside_wind, s.force_initial_beside_wind
     reading, tilted, turned = (
-        Stated() if one is None else one for one in (sheet.accelerometer, sheet.attitude, sheet.rotor_speed)
+        Stated() if one is None else one
+        for one in (sensor_spec.accelerometer, sensor_spec.attitude, sensor_spec.rotor_speed)
     )
     offset = math.hypot(reading.drift, vehicle.gravity * tilted.drift)
     noise = math.hypot(max(reading.noise, s.reading_noise), s.tilt_to_acceleration * tilted.noise)
     thrust = 2 * turned.noise / math.sqrt(vehicle.n_rotors) if by_speeds else s.thrust_noise
     wind = (offset / slope, INTERVAL.untimed_noise / slope) if slope else (0.0, 0.0)
-    return Sources(slope > 0, by_speeds, tuple(walk), tuple(initial), noise, thrust, *wind, offset)
+    return Sources(slope > 0, by_speeds, tuple(random_walk), tuple(initial), noise, thrust, *wind, offset)
 
 
 class DisturbanceFilter:
-    """Its operations stand `before` the controller's; `reset` begins a flight.
+    """Its calls stand `before` the controller's; `reset` begins a flight.
 
     belief: (11,), see control.base.Belief. deviations: see DEVIATIONS. acts: (3,), whether a disturbance across the
-    thrust, one along it, and a torque are believed. told: arrays of the uncertainty of the commands' delay, timing, by
-    which age and delays cannot be told apart, `apart` (s), and of variances that a bank has measured, lateral, noise.
+    thrust, one along it, and a torque are assumed. given: arrays of the uncertainty of the commands' delay, timing, by
+    which age and delays cannot be distinguished, `apart` (s), and of variances that a bank has measured, lateral,
+    noise.
     """
 
     def __init__(
@@ -104,7 +106,7 @@ class DisturbanceFilter:
         told: dict[str, np.ndarray],
     ) -> None:  # fmt: skip
         air = (residual.unscaled or residual).form(backend == "compiled")
-        self._function = built(backend, disturbance_function, vehicle, air, period, known)
+        self._function = cached_function(backend, disturbance_function, vehicle, air, period, known)
         self.memory = Memory("Disturbance", sizes_of([self._function]))
         self._places = told.copy()
         self._places["theta"] = theta.reshape(-1)[: self._function.numel_in("theta")]
@@ -113,7 +115,7 @@ class DisturbanceFilter:
         self.acts = self.memory.of_now["acts"]
 
     def reset(self, x: np.ndarray) -> None:
-        """Begin a flight in the state x, (13,): nothing is believed."""
+        """Begin a flight in the state x, (13,): nothing is assumed."""
         self.belief[...], self.deviations[...] = np.hstack([*no_belief()]), np.nan
         self.memory.begin(self.start(x))
 
@@ -121,7 +123,7 @@ class DisturbanceFilter:
         """What is remembered as a flight begins in the state x, (13,)."""
         return {"covariance": np.tile(np.diag(self._initial).ravel(), WALKS), "rates": np.tile(x[RATE], TORQUES)}
 
-    def before(self, known: dict[str, np.ndarray], read: np.ndarray) -> list[Operation]:
+    def before(self, known: dict[str, np.ndarray], read: np.ndarray) -> list[Call]:
         """Leaves belief and deviations. known: arrays with the state x (13,), the reading (3,), thrust and mean,
         delivered then and over the last period, (n,) (N), of one time."""
         given, found = {**self._places, **known, "read": read}, {"belief": self.belief, "deviations": self.deviations}
@@ -152,10 +154,10 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     along = of_thrust + misdated
     # no force is followed faster than most_force_bandwidth, which is q / (r sqrt(T)) of a random walk
     fastest = SPEEDS.most_force_bandwidth if known.by_speeds else s.most_force_bandwidth
-    least = (max(known.walk[FORCE]) / fastest) ** 2 / period
+    least = (max(known.random_walk[FORCE]) / fastest) ** 2 / period
     variance = ca.fmax(ca.vertcat(across, across, across + along), least * ca.DM([not known.has_drag] * 2 + [1]))
     N = ca.diag(variance)
-    doubted = s.sheet_factor**2 * across
+    doubted = s.spec_factor**2 * across
     doubt = ca.diag(ca.vertcat(doubted, doubted, doubted + along))
 
     along_body = ca.DM.eye(3) if known.has_drag else R.T  # what a wind leaves is of the thrust
@@ -176,9 +178,9 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     for i, factor in enumerate(s.walk_factors):
         estimate = kept["estimate"][N_ESTIMATE * i : N_ESTIMATE * (i + 1)]
         P = ca.reshape(kept["covariance"][N_ESTIMATE**2 * i : N_ESTIMATE**2 * (i + 1)], N_ESTIMATE, N_ESTIMATE)
-        walk = np.array(known.walk)
-        walk[[0, 1, 2, 4, 5, 6]] *= factor
-        P = P + ca.diag(walk**2 * period)
+        random_walk = np.array(known.random_walk)
+        random_walk[[0, 1, 2, 4, 5, 6]] *= factor
+        P = P + ca.diag(random_walk**2 * period)
         y, H, _ = expected(estimate)
         innovation, S = a["reading"] - y, ca.mtimes([H, P, H.T])
         likelihoods.append(_likelihoods(innovation, S + doubt))
@@ -220,16 +222,17 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
         predicted = kept["rates"][3 * i : 3 * i + 3] + period * (acting + torque)
         rates.append(predicted + of_rate * (rate - predicted))
         torques.append(torque + of_torque * (rate - predicted))
-        spins.append(-ca.sumsqr((rate - predicted)[:2] / (s.sheet_factor * s.rate_noise)) / 2)
+        spins.append(-ca.sumsqr((rate - predicted)[:2] / (s.spec_factor * s.rate_noise)) / 2)
     torque_evidence = _summed(kept["torque_evidence"], fading, spins)
 
-    # what is believed
+    # what is assumed
     found = [ca.vertcat(e, ca.vec(P)) for e, P in zip(estimates, covariances, strict=True)]
     level, lift = _likeliest(-squares[::2], found), _likeliest(evidence[1::2], found)
     torque = _likeliest(torque_evidence, torques[1:])
     odds = ca.vertcat(*(ca.mmax(one) for one in (evidence[::2], evidence[1::2], torque_evidence)))
     needed = s.evidence_on * (1 - kept["acts"])
-    # torques are compared with the state, whose age is told apart from the delay of readings, and thrusts with readings
+    # torques are compared with the state, whose age is distinguished from the delay of readings, and thrusts with
+    # readings
     timed = ca.vertcat(1, a["timing"] < s.timed, ca.fmax(a["timing"], a["apart"]) < s.torque_timed)
     acts = (odds > needed) * (1 if known.by_speeds else timed)
     if known.by_speeds:
@@ -259,7 +262,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     noises = ca.sqrt(ca.vertcat(across, across, across + along) / variance)
     forces = [ca.hypot(spread(rest, 4 + i) * noises[i], known.force_offset) for i in range(3)]
     forces = [ca.if_else(shown, vehicle.mass * one, np.nan) for one in forces]
-    lag = ca.sqrt(variance[0] * period) / max(known.walk[FORCE][0], TINY)
+    lag = ca.sqrt(variance[0] * period) / max(known.random_walk[FORCE][0], TINY)
     lag = ca.if_else(shown, lag, np.nan)
     deviations = ca.vertcat(*winds, *forces, lag, ca.if_else(acts[1], scale_doubt, np.nan))
     now = {

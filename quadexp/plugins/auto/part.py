@@ -7,9 +7,9 @@ from typing import Any
 
 from quadexp.control.laws.explicit import ExplicitController
 from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.part import Remedy
+from quadexp.control.part import Compensation
 from quadexp.errors import UsageError
-from quadexp.parts.part import Given
+from quadexp.models.build_context import BuildContext
 from quadexp.plugins.auto.around_law import AutoLaw
 from quadexp.plugins.auto.around_mpc import AutoMPC
 from quadexp.plugins.auto.auto import Auto
@@ -18,18 +18,18 @@ from quadexp.plugins.auto.disturbance import speeds_tell
 
 
 @dataclass(frozen=True, kw_only=True)
-class AutoPart(Remedy):
+class AutoPart(Compensation):
     """What is late, off or blown, found in flight; alone around a controller."""
 
     prefix = "delay."
     believes = True
 
-    def scales_air(self, given: Given) -> bool:
+    def scales_air(self, context: BuildContext) -> bool:
         """See Remedy."""
-        return speeds_tell(given.vehicle, given.sheet)
+        return speeds_tell(context.vehicle, context.sensor_spec)
 
     def suited(self, settings: Any) -> Any:
-        """See Remedy. UsageError where it is told of what it finds itself, or to plan otherwise than it does."""
+        """See Remedy. UsageError where it is given what it finds itself, or to plan otherwise than it does."""
         if settings.dead_time or settings.known_lag:
             raise UsageError(
                 f"delay={self.name}: finds dead time and lag itself; controller.dead_time, controller.motor_lag and"
@@ -39,13 +39,13 @@ class AutoPart(Remedy):
             raise UsageError(f"delay={self.name}: plans with controller.input_hold=deviation only")
         return grids(replace(settings, input_hold="deviation"))[0]
 
-    def put_around(self, controller: Any, given: Given) -> Auto:
+    def put_around(self, controller: Any, context: BuildContext) -> Auto:
         """See Remedy. UsageError where the controller learns its model itself, or has other remedies around it."""
         if type(controller) is PredictiveController:
-            return AutoMPC(controller, given.sheet)
+            return AutoMPC(controller, context.sensor_spec)
         if isinstance(controller, ExplicitController):
-            return AutoLaw(controller, given.sheet)
-        others = [remedy.prefix.rstrip(".") for remedy in given.remedies if remedy.prefix != self.prefix]
+            return AutoLaw(controller, context.sensor_spec)
+        others = [remedy.prefix.rstrip(".") for remedy in context.remedies if remedy.prefix != self.prefix]
         here = f"; set {' and '.join(f'{group}=none' for group in others)}" if others else ", which this one is not"
         raise UsageError(
             f"delay={self.name}: stands alone around an MPC whose model does not adapt, or a law in closed form{here}"

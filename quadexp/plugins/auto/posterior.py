@@ -26,9 +26,9 @@ import numpy as np
 from quadexp.compile.backend import BufferedFunction, CFunction, linked_library
 from quadexp.compile.memory import Memory
 from quadexp.compile.symbolic import ca
-from quadexp.control.built import built
+from quadexp.control.cached_function import cached_function
+from quadexp.control.control_step import Call, call, copy
 from quadexp.control.delivered import INSTANT
-from quadexp.control.instant import Operation, call, copy
 from quadexp.physics.expression import dense_function, limited, named_function, named_symbols
 from quadexp.plugins.auto.bank import AXES, GYROS, Bank, Layout, first_order_gain
 from quadexp.plugins.auto.responses import command_weights, reading_weights, tails
@@ -44,7 +44,7 @@ NEVER = 1e30  # a log odds, or a sum of squares
 FOUND = {"mean": 3, "deviation": 3, "lower": 3, "upper": 3, "newer": 1, "best": 1}
 
 
-class Told(NamedTuple):
+class BankSettings(NamedTuple):
     """What a posterior knows beside the bank's moments. period: of the bank (s). spans, turn_noise: see Bank."""
 
     period: float
@@ -60,40 +60,42 @@ class Search:
     """
 
     def __init__(self, bank: Bank, backend: str, flags: dict[str, np.ndarray], against: np.ndarray) -> None:
-        told, self._flags = Told(bank.period, bank.spans, bank.turn_noise), flags
+        bank_settings, self._flags = BankSettings(bank.period, bank.spans, bank.turn_noise), flags
         known = {name: bank.part(name) for name in ("weights", "lateral")}
         known |= {name: side_by_side(moments) for name, moments in bank.moments.items()}
-        self.coarse = grid_posterior(backend, told, 1, known | {"against": against})
+        self.coarse = grid_posterior(backend, bank_settings, 1, known | {"against": against})
         self.left = dict(self.coarse.results)
         handed = {"centre": self.left["mode"], "models": self.left["chosen"], "against": self.left["allowed"]}
-        self.fine = grid_posterior(backend, told, BANK.fine, known | handed)
+        self.fine = grid_posterior(backend, bank_settings, BANK.fine, known | handed)
         self.found = {name: self.fine.results[name] for name in ("mode", *FOUND)}
         found = {f"fine_{name}": values for name, values in self.found.items()}
         self.memory = Memory("Search", worked=self.left | found)
 
-    def operations(self) -> list[Operation]:
+    def calls(self) -> list[Call]:
         """What is to be done at an instant."""
         return [call(self.coarse, self._flags["searches"]), call(self.fine, self._flags["refines"])]
 
-    def moved(self) -> Operation:
+    def moved(self) -> Call:
         """The finer grid goes on from its own mode."""
         return copy(self.left["mode"], self.found["mode"], self._flags["refines"])
 
 
-def grid_posterior(backend: str, told: Told, fine: int, shared: dict[str, np.ndarray]) -> BufferedFunction:
+def grid_posterior(
+    backend: str, bank_settings: BankSettings, fine: int, shared: dict[str, np.ndarray]
+) -> BufferedFunction:
     """See grid_function: in C, or as equations in the virtual machine of CasADi."""
     if backend == "compiled":
-        return Kernel(told, fine, shared)
-    return BufferedFunction(built(backend, grid_function, told, fine), shared)
+        return Kernel(bank_settings, fine, shared)
+    return BufferedFunction(cached_function(backend, grid_function, bank_settings, fine), shared)
 
 
 class Kernel(BufferedFunction):
     """A posterior of `grid_function` in C, posterior.c, on the same arrays. source: its text, compiled unless the cache
     has it."""
 
-    def __init__(self, told: Told, fine: int, shared: dict[str, np.ndarray]) -> None:
-        super().__init__(built("interpreted", grid_function, told, fine), shared)
-        self.source = kernel_source(told)
+    def __init__(self, bank_settings: BankSettings, fine: int, shared: dict[str, np.ndarray]) -> None:
+        super().__init__(cached_function("interpreted", grid_function, bank_settings, fine), shared)
+        self.source = kernel_source(bank_settings)
         library = linked_library("posterior", (self.source, ()))
         code = getattr(ctypes.PyDLL(str(library)), self.function.name())
         places = [
@@ -105,9 +107,9 @@ class Kernel(BufferedFunction):
         self._trigger = partial(code, *(array.ctypes.data for array in self.for_c.arrays), 0)
 
 
-def kernel_source(told: Told) -> str:
+def kernel_source(bank_settings: BankSettings) -> str:
     """posterior.c for these settings, complete."""
-    layout, whole, steps = Layout(told.period), (LARGEST / STEPS).round().astype(int) + 1, 2 * BANK.fine + 1
+    layout, whole, steps = Layout(bank_settings.period), (LARGEST / STEPS).round().astype(int) + 1, 2 * BANK.fine + 1
     times = 2 * whole[0] - 1 + max(whole[1], steps)
     counts = {
         "COMMANDS": layout.commands, "READINGS": layout.readings, "GYROS": GYROS,
@@ -116,9 +118,14 @@ def kernel_source(told: Told) -> str:
     }  # fmt: skip
     numbers: dict[str, float] = {f"STEP_{name}": step for name, step in zip("ADL", STEPS.tolist(), strict=False)}
     numbers |= {f"LARGEST_{name}": most for name, most in zip("ADL", LARGEST.tolist(), strict=False)}
-    numbers |= {"PERIOD": told.period, "INSTANT": INSTANT, "NEVER": NEVER, "LARGEST_DEAD_TIME": BANK.largest_dead_time}
-    numbers |= dict(zip(("SPAN_FORCE", "SPAN_RATE"), told.spans, strict=True))
-    numbers |= dict(zip(("TURN_NOISE", "ATTITUDE_NOISE"), told.turn_noise, strict=True))
+    numbers |= {
+        "PERIOD": bank_settings.period,
+        "INSTANT": INSTANT,
+        "NEVER": NEVER,
+        "LARGEST_DEAD_TIME": BANK.largest_dead_time,
+    }
+    numbers |= dict(zip(("SPAN_FORCE", "SPAN_RATE"), bank_settings.spans, strict=True))
+    numbers |= dict(zip(("TURN_NOISE", "ATTITUDE_NOISE"), bank_settings.turn_noise, strict=True))
     names = (
         "mean_delay", "scale_deviation", "inertia_deviation", "bias_deviation", "rate_bias_deviation", "floor",
         "least_information", "most_information",
@@ -141,7 +148,7 @@ def rates_of(age: Any, newer: Any) -> Any:
     return ca.if_else(newer < INSTANT, LATE, between)
 
 
-def grid_function(told: Told, fine: int) -> ca.Function:
+def grid_function(bank_settings: BankSettings, fine: int) -> ca.Function:
     """Posterior on a grid, all hypotheses for fine = 1, or of steps a `fine`-th as large within one step of `centre`,
     (a, D, l, r).
 
@@ -149,7 +156,7 @@ def grid_function(told: Told, fine: int) -> ca.Function:
     grid. Leaves the mode, its rates, and odds that allow these alone; the likeliest noise models; log Bayes factors
     against no age and no total; whether the mode is the last that there is (a, D, l); of a finer grid FOUND.
     """
-    layout, steps, whole = Layout(told.period), STEPS / fine, fine == 1
+    layout, steps, whole = Layout(bank_settings.period), STEPS / fine, fine == 1
     sizes = [round(of) + 1 for of in (LARGEST if whole else 2 * STEPS) / steps]
     n_a, n_D, n_l, n_r = sizes
     commands, both, noises = layout.commands + 3, 2 * layout.columns, ca.DM(BANK.velocity_models)
@@ -175,7 +182,7 @@ def grid_function(told: Told, fine: int) -> ca.Function:
     dead_time = total - lag
     possible = ca.mtimes(inside[1], inside[2].T) * (dead_time > -INSTANT)
     possible = possible * (dead_time < BANK.largest_dead_time + INSTANT)
-    by_thrust = commands_function("thrust", told, layout, n_D, n_l)
+    by_thrust = commands_function("thrust", bank_settings, layout, n_D, n_l)
     thrust = by_thrust(a["thrust"], totals, lags, possible, a["weights"][0])
     ways = ca.fmin(total, BANK.largest_lag) - ca.fmax(total - BANK.largest_dead_time, 0)
     prior = -total / BANK.mean_delay - ca.log(ca.fmax(ways, 0) + BANK.lag_step)
@@ -189,21 +196,23 @@ def grid_function(told: Told, fine: int) -> ca.Function:
     wait = ca.repmat(times, 1, n_l) - ca.repmat(lags.T, times.numel(), 1)
     told_of = ca.mtimes(told_of, inside[2].T) * (wait > -INSTANT)
     told_of = told_of * (wait < BANK.largest_dead_time + BANK.largest_age + INSTANT)
-    by_gyro = commands_function("gyro", told, layout, n_old + n_D - 1, n_l)
+    by_gyro = commands_function("gyro", bank_settings, layout, n_old + n_D - 1, n_l)
     each = models("gyro", commands, a["models"][0])
     by_gyro_model = [ca.if_else(told_of, by_gyro(M, times, lags, told_of, a["weights"][0]), -NEVER) for M in each]
     gyro_model, of_gyro = _likeliest(by_gyro_model)
     by_old = [of_total + of_gyro[i : i + n_D, :] for i in range(n_old)]
 
     # velocities and attitudes, of age and of what rates are newer by
-    reading = told.period * ca.sqrt(a["lateral"])
-    by_velocity, by_attitude = (readings_function(*of) for of in (("velocity", told, n_a), ("attitude", told, n_r)))
+    reading = bank_settings.period * ca.sqrt(a["lateral"])
+    by_velocity, by_attitude = (
+        readings_function(*of) for of in (("velocity", bank_settings, n_a), ("attitude", bank_settings, n_r))
+    )
     by_noise = ca.vertsplit(noises) if whole else [ca.MX(noises)[a["models"][1]]]
     of_velocity = zip(models("velocity", both, a["models"][1]), by_noise, strict=True)
     by_model = [by_velocity(M, ages, inside[0], a["weights"][1], reading, noise) for M, noise in of_velocity]
     velocity_model, of_age = _likeliest(by_model)
     of_age = of_age - ages / BANK.mean_delay
-    of_newer = by_attitude(a["attitude"], newer, inside[3], a["weights"][2], *told.turn_noise)
+    of_newer = by_attitude(a["attitude"], newer, inside[3], a["weights"][2], *bank_settings.turn_noise)
     age, by = ca.repmat(ages, 1, n_r), ca.repmat(newer.T, n_a, 1)
     rates = ca.MX(rates_of(age, by))
     counts = ca.mtimes(inside[0], inside[3].T) * (age - by > -INSTANT)
@@ -284,14 +293,14 @@ def _summary(share: Any, grid: Any, step: float, beside: float) -> tuple[Any, ..
     return mean, deviation, ca.fmax(quantile(0.025) - beside / 2, 0), quantile(0.975) + beside / 2
 
 
-def commands_function(name: str, told: Told, layout: Layout, totals: int, lags: int) -> ca.Function:
+def commands_function(name: str, bank_settings: BankSettings, layout: Layout, totals: int, lags: int) -> ca.Function:
     """Log likelihood, (D, l), of a filter that commands drive, by its moments; of hypotheses that are possible."""
-    m, T = layout.commands, told.period
+    m, T = layout.commands, bank_settings.period
     shapes = {"M": (m + 3, m + 3), "total": totals, "lag": lags, "possible": (totals, lags), "count": 1}
     M, total, lag, possible, count = (a := named_symbols(ca.MX, shapes)).values()
-    n, deviation, span = ca.fmax(count, 1), BANK.scale_deviation, told.spans[0]
+    n, deviation, span = ca.fmax(count, 1), BANK.scale_deviation, bank_settings.spans[0]
     if name == "gyro":  # two readings differ by the mean in between
-        n, total, span, deviation = 2 * n, total + told.spans[1] / 2, T, BANK.inertia_deviation
+        n, total, span, deviation = 2 * n, total + bank_settings.spans[1] / 2, T, BANK.inertia_deviation
     phi = slice(2, 2 + m)
     cross, square = tails(M[0, phi], M[phi, phi], T, total, lag, span)
     least = ca.mmin(ca.if_else(possible, M[0, 0] - 2 * cross + square, NEVER))
@@ -307,10 +316,10 @@ def commands_function(name: str, told: Told, layout: Layout, totals: int, lags: 
     return dense_function(name, a, {"log": -kappa * n / 2 * ca.log(sse / n + BANK.floor)})
 
 
-def readings_function(name: str, told: Told, ages: int) -> ca.Function:
+def readings_function(name: str, bank_settings: BankSettings, ages: int) -> ca.Function:
     """Log likelihood of ages (a,), by a filter that integrates readings. reading: deviation of what a reading adds in a
     period. noise: of the state that it is compared with."""
-    layout, velocity = Layout(told.period), name == "velocity"
+    layout, velocity = Layout(bank_settings.period), name == "velocity"
     c, r = layout.columns, layout.readings
     shapes = {"M": (2 * c, 2 * c), "age": ages, "inside": ages, "count": 1, "reading": 1, "noise": 1}
     M, age, inside, count, reading, noise = (a := named_symbols(ca.MX, shapes)).values()
@@ -318,7 +327,7 @@ def readings_function(name: str, told: Told, ages: int) -> ca.Function:
     n = n * ca.fmax(count, 1)
     square, products = M[:c, :c], M[:c, c:]
     known, bias = slice(0, 1 + r), slice(1 + r, c)
-    weights = reading_weights(told.period, r, age - told.spans[not velocity] / 2)
+    weights = reading_weights(bank_settings.period, r, age - bank_settings.spans[not velocity] / 2)
     h = ca.horzcat(ca.DM.ones(ages), -weights)
     sse = ca.sum2(ca.mtimes(h, square[known, known]) * h)
     cross = ca.mtimes(h, square[known, bias])

@@ -27,13 +27,13 @@ class BankSettings:
     gyro_models: tuple[tuple[float, float], ...] = ((3e-4, 0.3), (5e-3, 0.3), (5e-2, 0.3))
     # of a reading (rad/s) and of a walk of the torque (rad/s^2/sqrt(s)): exact, good and poor gyroscopes; nine: 1.03
     rate_walk: float = 0.05  # rad/s/sqrt(s), white torques as of turbulence: 1.08 without
-    velocity_models: tuple[float, ...] = (1e-4, 3e-3, 3e-2)  # m/s, of a told velocity: exact, filtered, raw; two: 1.08
+    velocity_models: tuple[float, ...] = (1e-4, 3e-3, 3e-2)  # m/s, of a given velocity: exact, filtered, raw; two: 1.08
     thrust_noise: float = 0.28  # m/s^2, of the model along the thrust: 3 % of gravity
     thrust_walk: float = 1.0  # m/s^2/sqrt(s), of a vertical disturbance
     least_turn: float = 3e-4  # rad/s, of a gyroscope against the model
     least_attitude: float = 1e-5  # rad, of an estimated attitude
     least_reading: float = 0.02  # m/s^2, of an accelerometer
-    sheet_factor: float = 3.0  # by which a data sheet may be wrong: what users state differs by that much
+    spec_factor: float = 3.0  # by which a data sheet may be wrong: what users state differs by that much
     noise_memory: float = 5.0  # s, of measured noises
     measured_after: float = 0.5  # s, from which on a measured noise counts: 50 readings
     forgetting: float = 20.0  # s, of all moments: the thrust scale moves with the battery
@@ -89,7 +89,7 @@ class DisturbanceSettings:
     most_force_bandwidth: float = 40.0  # rad/s: the accelerometer's reading has the own thrust in it, a loop
     noise_memory: float = 2.0  # s, of the mean squared innovations
     torque_bandwidths: tuple[float, ...] = (3.0, 15.0)  # rad/s, below that of the attitude loop
-    sheet_factor: float = 3.0  # by which a stated noise may be wrong
+    spec_factor: float = 3.0  # by which a stated noise may be wrong
     rate_noise: float = 1e-3  # rad/s, least of the gyroscope against the model
     evidence_on: float = 8.0  # log likelihood ratio from which a disturbance acts: very strong (Kass & Raftery 1995)
     unknown_timing: float = 0.03  # s, most that the uncertainty of a delay counts for the noise of the thrust
@@ -156,7 +156,7 @@ class DecisionSettings:
     # Beside the controller's own, which is the softest: 1.64 with that alone. Margins of a nominal MPC at 50 Hz in
     # hover: 67 ms with its own, then 40, 35, 29, 13 ms
     grids: tuple[Grid, ...] = (
-        # The second one flies under noise: hover in `everything` had .42 of its samples at a limit, .14 by 10 times
+        # The second one flies under noise: hover in `everything` had 0.42 of its samples at a limit, 0.14 by 10 times
         # the weight of commands, at 1.04 of the error; on stiffer ones it costs a fifth with exact sensors.
         Grid(0.06, 0.8, 40.0, math.inf),
         Grid(0.06, 0.8, 100.0, 0.008, 10.0),
@@ -167,7 +167,7 @@ class DecisionSettings:
 
 @dataclass(frozen=True)
 class PathSettings:
-    """What a law is told of a path whose velocity jumps, and of a force."""
+    """What a law is given a path whose velocity jumps, and of a force."""
 
     samples: int = 2  # of the reference in a control period
     turning: float = 0.9  # of all rotors' thrust, for a force and what the path takes; the rest turns the vehicle

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from quadexp.api import Given, Scratch, overrides, progress_of, request_of
+from quadexp.api import OverrideLike, Scratch, overrides, progress_of, request_of
 from quadexp.frames import Frame
 from quadexp.log.store import read_table
 from quadexp.parts.options import Folders, Place
@@ -39,7 +39,7 @@ class Leaderboard(Frame):
 
 
 def bench(
-    *settings: Given, out: Place | None = None, conf: Folders = None, progress: bool = False, **keywords: Any
+    *settings: OverrideLike, out: Place | None = None, conf: Folders = None, progress: bool = False, **keywords: Any
 ) -> Leaderboard:
     """Rank controllers by a protocol that does not change, as `quadexp bench`.
 

@@ -27,12 +27,14 @@ TEXTS = ("entry", "settings", "family", "task", "world", "size", "protocol_sha25
 NUMBERS = ("protocol", "bound")
 BEGIN, END = "<!-- bench: begin (written by the command; edit nothing up to the end) -->", "<!-- bench: end -->"
 RULE = (
-    "Place: who is not told apart by the flights lost from the entry that lost the fewest, by mean rank over all"
+    "Place: who is not significantly different by the flights lost from the entry that lost the fewest, by mean rank"
+    " over all"
     " cells (task, world, seed), where lost flights share the last ranks; then the others in the same way. In"
-    " brackets the 95 % interval over the seeds. =: not told apart from the one above (paired permutation test of"
+    " brackets the 95 % interval over the seeds. =: not significantly different from the one above (paired permutation"
+    " test of"
     " the seeds, p < 0.05 each). x least: geometric mean of the error over the least of each cell. It and the"
     " error over the baseline's are of completed flights, (n): of n only, and who loses the hard ones has"
-    " less. Bounds are told the plant's equations and take no rank. settings: as shipped are those of a"
+    " less. Bounds are given the plant's equations and take no rank. settings: as shipped are those of a"
     " publication or, where there is none, of this program; set by hand on seeds that are flown here, they are"
     " flattered. step: median over the instants of the fastest loop, on"
     " the machine that flew: no part of the rank."
@@ -103,7 +105,7 @@ def board_table(rows: Sequence[Row], *, metric: str, baseline: str, title: str =
     notes = [f"{listed([s.entry for s in ranked if s.bound])}: bound, not ranked"] if ranked[-1].bound else []
     seeds = len({row["seed"] for row in rows})
     if seeds < least_seeds(1):
-        notes.append(f"{too_few(seeds, least_seeds(1), 0.95)}; nobody is told apart")
+        notes.append(f"{too_few(seeds, least_seeds(1), 0.95)}; nobody is significantly different")
     return Table(heads, [*map(_line, ranked)], title, left=frozenset({1, 2}), notes=notes)
 
 

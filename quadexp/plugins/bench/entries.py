@@ -31,7 +31,7 @@ SHIPPED = "as shipped"
 
 @dataclass(frozen=True)
 class Entry:
-    """name: of its rows. overrides: what makes it. bound: whether it is told the plant's equations. settings:
+    """name: of its rows. overrides: what makes it. bound: whether it is given the plant's equations. settings:
     as shipped, tuned with so many flights, or set by hand, on which seeds. model: the protocol's rule for the
     checkpoint that it may read, "fit" or "network", or a user's own kind; "" where it reads none."""
 
@@ -55,11 +55,11 @@ def read_entries(texts: Sequence[str], composer: Composer, protocol: Protocol, e
         words = shlex.split(text)
         if not words:
             raise UsageError("--controller: is empty; give a controller's name")
-        given = [word if "=" in word or i else f"controller={word}" for i, word in enumerate(words)]
-        config = composer.compose(given, "bench --controller")
-        name = " ".join(word.removeprefix("controller=") for word in given)
-        settings = _settings(given, protocol, extra)
-        entries.setdefault(name, Entry(name, tuple(given), config.controller.knows_plant, settings, _rule(config)))
+        overrides = [word if "=" in word or i else f"controller={word}" for i, word in enumerate(words)]
+        config = composer.compose(overrides, "bench --controller")
+        name = " ".join(word.removeprefix("controller=") for word in overrides)
+        settings = _settings(overrides, protocol, extra)
+        entries.setdefault(name, Entry(name, tuple(overrides), config.controller.knows_plant, settings, _rule(config)))
     return list(entries.values())
 
 
@@ -72,7 +72,7 @@ def _rule(config: Config) -> str:
     return "fit" if remedies(config) or residual not in ("none", "plant", "blade_element") else ""
 
 
-def _settings(given: Sequence[str], protocol: Protocol, extra: Folders) -> str:
+def _settings(overrides: Sequence[str], protocol: Protocol, extra: Folders) -> str:
     """Where its settings come from; raises UsageError where they were tuned on flights of the protocol.
 
     A bundle without provenance, and an option of a user's, count as set by hand, as keys do: no publication has their
@@ -80,15 +80,15 @@ def _settings(given: Sequence[str], protocol: Protocol, extra: Folders) -> str:
     """
     last = max(family.chosen(size)[0] for family in protocol.families.values() for size in family.sizes)
     known = OptionFiles(extra)
-    flights, by_hand, watched = 0, any(word.partition("=")[0].count(".") for word in given), set[int]()
-    for word in given:
+    flights, by_hand, watched = 0, any(word.partition("=")[0].count(".") for word in overrides), set[int]()
+    for word in overrides:
         group, _, option = word.partition("=")
         about = provenance_of(option, extra, group) if group in ("controller", "remedies", *REMEDIES) else None
         if about is None:
-            own = any(
+            is_own = any(
                 each.place < len(known.folders) - 1 for each in known.definitions.get(f"{group}/{option}", [])[:1]
             )
-            by_hand |= group == "remedies" or own
+            by_hand |= group == "remedies" or is_own
         elif BY_HAND in about:
             watched |= {*about["seeds"]}
         elif common := {*about.get("seeds", [])} & {*protocol.seeds(last)}:
@@ -108,9 +108,9 @@ def configs_of(
     seeds, tasks, worlds = family.chosen(size)
     flights = []
     for world, task, seed in product(worlds, tasks, protocol.seeds(seeds)):
-        given = (*family.given, *family.tasks[task], *family.worlds[world], *entry.overrides)
-        texts = (*given, *([f"model={model}"] if model else []), f"seed={seed}")
-        flights.append((task, world, texts, composer.expand(texts, check=False).sound()[0].config))
+        overrides = (*family.given, *family.tasks[task], *family.worlds[world], *entry.overrides)
+        texts = (*overrides, *([f"model={model}"] if model else []), f"seed={seed}")
+        flights.append((task, world, texts, composer.expand(texts, check=False).all_valid_or_raise()[0].config))
     return flights
 
 
@@ -135,17 +135,17 @@ def make_model(
     """
     name = family.name if rule == "fit" else f"{family.name}_{rule}"
     out, data = folder / name, folder / f"{family.name}.parquet"
-    given = family.models["collect"]
-    collect = composer.compose(given)
+    command = family.models["collect"]
+    collect = composer.compose(command)
     config, model = family.fitted(composer, rule, RULES[rule][0] if rule in RULES else rule)
-    rules = {"collect": given, rule: family.models.get(rule) or part_identity("model", model)}
+    rules = {"collect": command, rule: family.models.get(rule) or part_identity("model", model)}
     decided = identity_with(collect, find_model(collect), fitted=True).digest
 
     def fit() -> None:
         what = {"fit": "models", "network": "a network"}.get(rule, rule)
         say(f"{family.name}: {what} of the air, from flights in still air")
         data.parent.mkdir(parents=True, exist_ok=True)
-        _once(data, digest([given, family.name, decided]), lambda: collect_dataset(collect, data))
+        _once(data, digest([command, family.name, decided]), lambda: collect_dataset(collect, data))
         fit_checkpoint(model, config, data, out, force=True, figures=False)
 
     _once(out / MODEL_FILE, digest([rules, name, decided]), fit)

@@ -56,13 +56,15 @@ class Family:
         a key that comes later changes nothing."""
         first = next(iter(self.tasks.values()))
         asked = {
-            **{f"task {name}": ([*self.given, *given], TASK) for name, given in self.tasks.items()},
-            **{f"world {name}": ([*self.given, *first, *given], WORLD) for name, given in self.worlds.items()},
+            **{f"task {name}": ([*self.given, *overrides], TASK) for name, overrides in self.tasks.items()},
+            **{f"world {name}": ([*self.given, *first, *overrides], WORLD) for name, overrides in self.worlds.items()},
             "collect": (self.models["collect"], COLLECTED),
         }
         values: dict[str, Any] = {}
-        for name, (given, groups) in asked.items():
-            config = composer.expand(given, check=False).sound()[0].config  # every option is composed once
+        for name, (overrides, groups) in asked.items():
+            config = (
+                composer.expand(overrides, check=False).all_valid_or_raise()[0].config
+            )  # every option is composed once
             values[name] = {group: _stated(getattr(config, group)) for group in groups}
         for rule, models in RULES.items():
             values[rule] = {model: _stated(self.fitted(composer, rule, model)[1]) for model in models}
@@ -73,8 +75,8 @@ class Family:
         vehicle of `fit` and its own settings."""
         texts = self.models.get(rule, self.models["fit"])
         others = SPELLINGS.keys() - {model}
-        own = [text for text in texts if re.split("[.=]", text)[0] not in others]
-        return composer.fitted(model, own, None)
+        of_family = [text for text in texts if re.split("[.=]", text)[0] not in others]
+        return composer.fitted(model, of_family, None)
 
 
 def _stated(part: Any) -> dict[str, Any]:
@@ -137,8 +139,8 @@ def protocol_of(text: bytes) -> Protocol:
     families = {}
     for name, part in content["families"].items():
         worlds = {**part["worlds"], **dict(_drawn(part.get("draws", {}), **content.get("draws", {})))}
-        models, given = part["models"], tuple(part["given"])
-        families[name] = Family(name, part["what"], given, models, part["tasks"], worlds, part["sizes"])
+        models, overrides = part["models"], tuple(part["given"])
+        families[name] = Family(name, part["what"], overrides, models, part["tasks"], worlds, part["sizes"])
     ranked = content["metric"], content["baseline"], content["first_seed"]
     sha256 = sha256_of(text)
     return Protocol(content["version"], sha256, *ranked, families, content.get("values", {}))

@@ -4,14 +4,17 @@
                           or not flown come after them, and share theirs
     mean rank             mean over tasks and worlds, then over seeds; its interval is Student's t over six seeds or
                           more: of three, whose ranks are few numbers, it held the mean in 90 % of 2,000 tables for 95
-    told apart            by the paired permutation test of the seeds, p < 1 - confidence: six seeds can, fewer cannot
-    place                 those not told apart, by the number of flights lost, from the entry that lost the fewest come
-                          first, then those not told apart from the fewest of the rest; among them by mean rank
-    level                 with the one above: not told apart by lost flights, nor by their mean ranks
+    significantly different            by the paired permutation test of the seeds, p < 1 - confidence: six seeds can,
+    fewer cannot
+    place                 those not significantly different, by the number of flights lost, from the entry that lost the
+    fewest come
+                          first, then those not significantly different from the fewest of the rest; among them by mean
+                          rank
+    level                 with the one above: not significantly different by lost flights, nor by their mean ranks
     of the least          geometric mean of error / least error of the cell, over its own completed flights
     against the baseline  ratio of errors over the cells that both completed, seeds paired (pairing.seed_means)
 
-Both are over other cells where flights were lost, so each has its number of cells. Bounds (told the plant's equations)
+Both are over other cells where flights were lost, so each has its number of cells. Bounds (given the plant's equations)
 are shown and take no rank, nor do they make a cell's least error. Ranks and `of the least` depend on who takes part,
 the ratio to the baseline does not.
 """
@@ -35,9 +38,10 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Standing:
-    """One entry of a family. place: 0 for a bound. level: not told apart from the one above. rank, rank_low, rank_high:
-    mean rank, NaN for a bound. least: geometric mean of the ratio to the least error of each cell. ratio: to the
-    baseline. least_cells, ratio_cells: of how many flights these are. step: median time of the control step (s)."""
+    """One entry of a family. place: 0 for a bound. level: not significantly different from the one above. rank,
+    rank_low, rank_high: mean rank, NaN for a bound. least: geometric mean of the ratio to the least error of each cell.
+    ratio: to the baseline. least_cells, ratio_cells: of how many flights these are. step: median time of the control
+    step (s)."""
 
     entry: str
     settings: str
@@ -143,7 +147,7 @@ def _error(row: Row, metric: str) -> float:
     return value if math.isfinite(value) else math.inf
 
 
-def _log_ratios(own: np.ndarray, other: np.ndarray) -> np.ndarray:
+def _log_ratios(errors: np.ndarray, other: np.ndarray) -> np.ndarray:
     """ln(own / other) of each cell, NaN where one was lost or is zero."""
-    both = np.isfinite(own) & np.isfinite(other) & (own > 0) & (other > 0)
-    return np.array([math.log(a / b) if good else math.nan for a, b, good in zip(own, other, both, strict=True)])
+    both = np.isfinite(errors) & np.isfinite(other) & (errors > 0) & (other > 0)
+    return np.array([math.log(a / b) if good else math.nan for a, b, good in zip(errors, other, both, strict=True)])

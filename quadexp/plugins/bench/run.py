@@ -102,10 +102,12 @@ def bench(
             made_by = {"protocol": protocol.version, "protocol_sha256": protocol.sha256, "size": called}
             rows = [{**flown[key], **about, **made_by} for key, (_, about) in zip(keys, flights, strict=True)]
             for path, more in added:
-                left = {r["entry"] for r in more} & {r["entry"] for r in rows} - {
+                remaining = {r["entry"] for r in more} & {r["entry"] for r in rows} - {
                     r["entry"] for r in more if r["key"] in keys
                 }
-                notes += [f"{name}: flown otherwise in {path}, whose rows of it are left out" for name in sorted(left)]
+                notes += [
+                    f"{name}: flown otherwise in {path}, whose rows of it are left out" for name in sorted(remaining)
+                ]
                 rows = joined(rows, more, str(path)) if rows else list(more)
             check_cells(rows, str(out))
             return _write(rows, protocol, out, asked, notes)

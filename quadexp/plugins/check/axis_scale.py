@@ -30,7 +30,7 @@ REFITS = 3  # times that rows near the line are chosen, about the line of the ti
 SURE = 5.0  # standard errors
 IN_UNIT = 3.0  # standard errors, within which a factor may be that of a unit
 NEAR_UNIT = 0.04  # of the logarithm, to which it may be besides
-WIDEST = 2.5  # high over low, up to which a unit is told
+WIDEST = 2.5  # high over low, up to which a unit is given
 LEAST_CORRELATION = 0.3  # below, motion explains a tenth of the variance and its slope says nothing
 ALIKE = 0.03  # within which an axis has the factor of all
 BLOCKS = 0.08  # of a gyro or accelerometer: less is a calibration
@@ -117,21 +117,21 @@ def axis_candidates(windows: Windows, *, small: bool = False) -> list[Candidate]
     """Streams of which some axes have another factor than the rest, and gyros that have a small one. small: also what
     may be the attitude's doing."""
     known = {pair.name: pair for pair in pairs(windows)}
-    found: list[Candidate] = []
+    candidates: list[Candidate] = []
     if (velocity := known.get("velocity")) is not None:
         gain = gains(velocity.expected, velocity.measured, len(windows.t))
         off = gain.apart(np.full(4, LEAST["velocity"]))[:3]
-        found += _candidates("v", off, gain.low, gain.high, gain)
-        found += _candidates("p", off, 1 / gain.high, 1 / gain.low, gain, 0.1)
+        candidates += _candidates("v", off, gain.low, gain.high, gain)
+        candidates += _candidates("p", off, 1 / gain.high, 1 / gain.low, gain, 0.1)
     if (rate := known.get("rate")) is not None:
         gain = gains(rate.expected, rate.measured, len(windows.t))
         off = gain.apart(np.append(np.full(3, LEAST["rate"]), LEAST_OF_ALL))
         whole = float(gain.high[3])
         alike = (gain.low[:3] < whole + ALIKE) & (gain.high[:3] > whole - ALIKE)
         if off[3] and alike.all() and abs(whole - 1) < 0.5:
-            found.append(_of_all("w", whole, float(gain.high_error[3])))
+            candidates.append(_of_all("w", whole, float(gain.high_error[3])))
         else:
-            found += _candidates("w", off[:3], gain.low, gain.high, gain)
+            candidates += _candidates("w", off[:3], gain.low, gain.high, gain)
     if (sides := body_force(windows)) is not None:
         gain = gains(*sides, len(windows.t))
         least = np.array([LATERAL, LATERAL, LEAST["force"], 0.0])
@@ -139,8 +139,8 @@ def axis_candidates(windows: Windows, *, small: bool = False) -> list[Candidate]
         off[:2] &= (gain.nearest * gain.signal)[:2] > LATERAL_EFFECT
         leans = _may_lean(gain) & ~off if small else np.zeros(3, bool)
         for candidate in _candidates("f", off | leans, gain.low, gain.high, gain):
-            found.append(replace(candidate, text=f"{candidate.text}, {LEANS}") if leans.any() else candidate)
-    return found
+            candidates.append(replace(candidate, text=f"{candidate.text}, {LEANS}") if leans.any() else candidate)
+    return candidates
 
 
 def _may_lean(gain: Gains) -> np.ndarray:

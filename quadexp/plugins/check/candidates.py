@@ -204,12 +204,12 @@ def clock_candidate(gain: float) -> Candidate:
 def scale_candidates(gain: float, streams: str) -> tuple[Candidate, ...]:
     """One of these streams has a factor that no unit explains; `gain`: of the first over the second."""
     factors = [(name, gain if name == streams[0] else 1 / gain, 1.3 + 0.1 * i) for i, name in enumerate(streams)]
-    made = []
+    candidates = []
     for name, size, cost in factors:
         severity = "warning" if name == "f" and abs(size - 1) < FORCE_SCALE_BLOCKS else "blocking"
         lines = {KEYS[name]: {"scale": float(f"{1 / size:.5g}")}}
-        made.append(Candidate("scale", name, f"{size:.4g} times their true size", lines, cost, severity))
-    return tuple(made)
+        candidates.append(Candidate("scale", name, f"{size:.4g} times their true size", lines, cost, severity))
+    return tuple(candidates)
 
 
 # ----------------------------------------------------------------------------------------------------- bias and heading
@@ -222,7 +222,7 @@ LEAST_YAW, YAW_BLOCKS = 2.0, 8.0  # deg
 def bias_candidates(windows: Windows) -> list[Candidate]:
     """A constant that a gyro or an accelerometer adds, where the flight shows one."""
     known = {pair.name: pair for pair in pairs(windows)}
-    found = []
+    candidates = []
     for stream, (relation, least, unit) in BIAS.items():
         pair = known.get(relation) or known.get(f"{relation} (p)")
         if pair is None:
@@ -236,8 +236,8 @@ def bias_candidates(windows: Windows) -> list[Candidate]:
             continue
         offset = [float(f"{x:.3g}") + 0.0 for x in bias]
         text = f"a bias of {', '.join(f'{x:g}' for x in offset)} {unit}"
-        found.append(Candidate("bias", stream, text, {KEYS[stream]: {"offset": offset}}, 1.7, "warning"))
-    return found
+        candidates.append(Candidate("bias", stream, text, {KEYS[stream]: {"offset": offset}}, 1.7, "warning"))
+    return candidates
 
 
 def heading_candidates(windows: Windows) -> list[Candidate]:

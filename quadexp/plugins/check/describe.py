@@ -85,12 +85,12 @@ class Description:
     @property
     def warnings(self) -> list[str]:
         missing = [name for name in ("position", "attitude", "acceleration") if name not in self.fields]
-        made = [f"no {name} was recognised: what needs it is not possible with this log" for name in missing]
+        lines = [f"no {name} was recognised: what needs it is not possible with this log" for name in missing]
         if not set(self.fields) - {"time", "world", "body", "crop"}:
-            made.append("no column was recognised: add the quantities by hand, an import needs one at least")
+            lines.append("no column was recognised: add the quantities by hand, an import needs one at least")
         if "attitude" not in self.fields:
-            made.append("without an attitude neither frames nor directions can be checked")
-        return made
+            lines.append("without an attitude neither frames nor directions can be checked")
+        return lines
 
     def yaml(self) -> str:
         """The mapping, as `--mapping` takes it, with the confidence behind every line."""
@@ -102,9 +102,9 @@ class Description:
         return "\n".join([*lines, *(f"# note: {printable(text)}" for text in self.warnings), ""])
 
     def record(self) -> dict[str, Any]:
-        fields = {key: {"confidence": one.confidence, "sureness": one.sureness, "why": one.why}
-                  for key, one in self.fields.items()}  # fmt: skip
-        mapping = {"format": self.format, **{key: one.value for key, one in self.fields.items()}}
+        fields = {key: {"confidence": proposal.confidence, "sureness": proposal.sureness, "why": proposal.why}
+                  for key, proposal in self.fields.items()}  # fmt: skip
+        mapping = {"format": self.format, **{key: proposal.value for key, proposal in self.fields.items()}}
         return {"path": self.path, "mapping": mapping, "fields": fields, "warnings": self.warnings}
 
 
@@ -307,14 +307,18 @@ class _Proposals:
         if still:
             log = Windows(log.t, {**self.streams, "v": np.zeros((*log.t.shape, 3))})
         few = log.every(max(1, len(log.t) // FEW))
-        scored = [(value, one) for one in self._conventions() if (value := _explained(one, few)) is not None]
+        scored = [
+            (value, candidate) for candidate in self._conventions() if (value := _explained(candidate, few)) is not None
+        ]
         scored.sort(key=lambda pair: -pair[0])
         value, best = scored[0]
-        mends = [one for one in explain(best.apply(log))[0] if one.blocks]
-        mends = [one for one in mends if not (still and "acceleration" in one.correction)]  # nor what is left of it
+        mends = [candidate for candidate in explain(best.apply(log))[0] if candidate.blocks]
+        mends = [
+            candidate for candidate in mends if not (still and "acceleration" in candidate.correction)
+        ]  # nor what is left of it
         for key in ("world", "body", "attitude"):
             chosen = best.correction.get(key)
-            others = [(v, one) for v, one in scored if one.correction.get(key) != chosen]
+            others = [(v, candidate) for v, candidate in scored if candidate.correction.get(key) != chosen]
             behind, rival = max(others, key=lambda pair: pair[0], default=(value - 2 * MARGIN, best))
             text = f"log likelihood {value - behind:.1f} above that of {flow(rival.correction.get(key, PLAIN))}"
             sure = SURE if value - behind >= MARGIN else GUESS
@@ -329,8 +333,8 @@ class _Proposals:
         for key in {"velocity", "acceleration"} & best.correction.keys():
             self.fields[key].value.update(best.correction[key])
         if mends:
-            why = "; ".join(f"{one.where}: {one.text}" for one in mends)
-            self.fields["corrections"] = Proposal([one.correction for one in mends], SURE, why)
+            why = "; ".join(f"{candidate.where}: {candidate.text}" for candidate in mends)
+            self.fields["corrections"] = Proposal([candidate.correction for candidate in mends], SURE, why)
 
     def _conventions(self) -> list[Candidate]:
         """Every order and direction of the quaternion in every frame."""
@@ -413,16 +417,16 @@ def _of_columns(reading: dict[str, Any], frames: Mapping[str, Any]) -> dict[str,
     return {"scale": signs} if signs and plain and signs[2] == 1 else reading
 
 
-def _explained(one: Candidate, windows: Windows) -> float | None:
+def _explained(candidate: Candidate, windows: Windows) -> float | None:
     """Evidence of a convention (log units), its cost taken off; None where the thrust is not along z in it.
 
     The drag of a log without accelerometer is the same in every convention: it is no reason to doubt one.
     """
-    relations = pairs(one.apply(windows))
+    relations = pairs(candidate.apply(windows))
     pull = next(pair.expected for pair in relations if pair.name.startswith(("force", "thrust"))).mean(axis=0)
     if np.argmax(np.abs(pull)) != 2 or pull[2] < 0:
         return None
     return (
         sum(agreement(pair, min(pair.relation.floor, RELATIONS["force"].floor)).evidence for pair in relations)
-        - PER_COST * one.cost
+        - PER_COST * candidate.cost
     )

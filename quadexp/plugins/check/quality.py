@@ -55,8 +55,10 @@ class LateStreams:
 
     def said(self, offsets: list[Finding]) -> list[Finding]:
         """The findings of offsets with the rivals named, and one of these streams where there is none."""
-        doubt = "; or " + " and ".join(f"{one.where}: {one.text}" for one in self.rivals) if self.rivals else ""
-        lines = ", ".join(line for one in self.rivals for line in one.lines)
+        doubt = (
+            "; or " + " and ".join(f"{finding.where}: {finding.text}" for finding in self.rivals) if self.rivals else ""
+        )
+        lines = ", ".join(line for finding in self.rivals for line in finding.lines)
         decide = f"; decide between this and {lines}, which the flight does not" if self.rivals else ""
         if not offsets:
             sizes = {KEYS[name]: seconds for name, seconds in self.moves.items()}
@@ -66,7 +68,9 @@ class LateStreams:
             severity = "blocking" if size > OFFSET_BLOCKS else "warning"
             advice = "a flight that does not repeat itself tells it, then `import --align` corrects it"
             offsets = [Finding("time_offset", severity, where, text, f"{1e3 * ALLOWED:.0f} ms", advice)]
-        return [replace(one, measured=one.measured + doubt, advice=one.advice + decide) for one in offsets]
+        return [
+            replace(finding, measured=finding.measured + doubt, advice=finding.advice + decide) for finding in offsets
+        ]
 
 
 def check_flight(flight: Flight, vehicle: Vehicle | None = None) -> list[Finding]:
@@ -164,8 +168,8 @@ def inspect_flight(
         mark(finding.name, _stray_rows(t, when, spike))
     findings += [finding for finding in spikes if finding.name not in {other.name for other in findings}]
     commands, impossible = check_commands(kept, vehicle)
-    if (unit := rotors.check_rotor_unit(kept, vehicle)) and any("rotor_speed" in one.where for one in commands):
-        commands = [one for one in commands if "rotor_speed" not in one.where]  # its symptom
+    if (unit := rotors.check_rotor_unit(kept, vehicle)) and any("rotor_speed" in command.where for command in commands):
+        commands = [command for command in commands if "rotor_speed" not in command.where]  # its symptom
         impossible[:] = False
     commands += unit
     mark("impossible_command", impossible)
@@ -235,22 +239,22 @@ def _consistency(
         turning = turning_offset(*(Stream(t[~bad], streams[name][~bad]) for name in "qw"))
         if turning is not None and turning.certain and turning.correlation > 0.7 and abs(turning.seconds) > ALLOWED:
             shifted |= _moved(t, streams, dict.fromkeys("wf", turning.seconds))
-    taken, found = search.explain(cut(t, shifted, ~bad, segment))
+    taken, findings = search.explain(cut(t, shifted, ~bad, segment))
     again = _repaired(t, streams, taken)
     offsets = _offsets(again, t, ~bad)
-    late = any(one.certain and _late(one, t) > ALLOWED for one in offsets.values())
+    late = any(offset.certain and _late(offset, t) > ALLOWED for offset in offsets.values())
     if late and not any(candidate.fault == "clock_scale" for candidate in taken):
         on_one_clock = aligned({KEYS[name]: Stream(t, values) for name, values in streams.items()}, offsets)
         moves = {name: t - on_one_clock[KEYS[name]].t for name in streams}
         shifted = dict(streams) | _moved(t, streams, {name: by for name, by in moves.items() if by.any()})
-        taken, found = search.explain(cut(t, shifted, ~bad, segment))
+        taken, findings = search.explain(cut(t, shifted, ~bad, segment))
         again = _repaired(t, streams, taken)
     late_streams = _late_instead(t, shifted, taken, ~bad, segment)
     if late_streams is None:
-        return again, found, None
+        return again, findings, None
     moved = shifted | _moved(t, shifted, late_streams.moves)
-    taken, found = search.explain(cut(t, moved, ~bad, segment))
-    return _repaired(t, streams, taken), found, late_streams
+    taken, findings = search.explain(cut(t, moved, ~bad, segment))
+    return _repaired(t, streams, taken), findings, late_streams
 
 
 def _late_instead(
@@ -342,7 +346,7 @@ def _repaired(t: np.ndarray, streams: dict[str, np.ndarray], taken: list[Candida
 def _check_offset(streams: Mapping[str, np.ndarray], t: np.ndarray, good: np.ndarray) -> list[Finding]:
     """Streams that are late or early, or drift apart, beyond what clean logs do; gyro and accelerometer that are so by
     as much are one finding. good: samples to be used, (k,)."""
-    found: dict[str, tuple[Finding, Offset]] = {}
+    offsets: dict[str, tuple[Finding, Offset]] = {}
     for (name, behind), offset in _offsets(streams, t, good).items():
         size = _late(offset, t)
         limit = max(ALLOWED, 3 * offset.error)
@@ -354,14 +358,14 @@ def _check_offset(streams: Mapping[str, np.ndarray], t: np.ndarray, good: np.nda
         where = f"{COLUMNS[LETTERS[name]]} against {COLUMNS[LETTERS[behind]]}"
         kind, advice = "clock_drift" if offset.drift else "time_offset", "`import --align` corrects it"
         finding = Finding(kind, severity, where, text, f"{limit * 1e3:.0f} ms, no drift", advice)
-        found[name] = finding, offset
-    if {"rate", "acceleration"} <= found.keys():
-        (rate, by), (force, other) = found["rate"], found.pop("acceleration")
+        offsets[name] = finding, offset
+    if {"rate", "acceleration"} <= offsets.keys():
+        (rate, by), (force, other) = offsets["rate"], offsets.pop("acceleration")
         if rate.name == force.name and abs(by.seconds - other.seconds) < SAME_OFFSET + 3 * (by.error + other.error):
             worse = max(rate.severity, force.severity, key=SEVERITIES.index)
             text = f"{rate.measured}, and {force.measured}"
             where = f"{rate.where}, {force.where}"
-            found["rate"] = replace(rate, severity=worse, where=where, measured=text), by
+            offsets["rate"] = replace(rate, severity=worse, where=where, measured=text), by
         else:
-            found["acceleration"] = force, other
-    return [finding for finding, _ in found.values()]
+            offsets["acceleration"] = force, other
+    return [finding for finding, _ in offsets.values()]

@@ -55,7 +55,7 @@ def command_columns(flight: Flight) -> dict[str, list[str]]:
     """Columns of rotor signals by kind, in rotor order."""
     signals: dict[str, list[str]] = {}
     for kind in ("motor_command", "u", "rotor_speed"):
-        numbers = sorted(int(found[1]) for name in flight.columns if (found := re.fullmatch(rf"{kind}_(\d+)", name)))
+        numbers = sorted(int(match[1]) for name in flight.columns if (match := re.fullmatch(rf"{kind}_(\d+)", name)))
         if numbers:
             signals[kind] = [f"{kind}_{number}" for number in numbers]
     return signals
@@ -75,7 +75,7 @@ def limits(kind: str, vehicle: Vehicle | None) -> tuple[float, float, str] | Non
 
 def check_commands(flight: Flight, vehicle: Vehicle | None) -> tuple[list[Finding], np.ndarray]:
     """Commands out of range and saturation; and the samples with a command out of its range, (k,)."""
-    found, impossible = [], np.zeros(len(flight), bool)
+    findings, impossible = [], np.zeros(len(flight), bool)
     for kind, names in command_columns(flight).items():
         allowed = limits(kind, vehicle)
         values = flight.stack(names).astype(float)
@@ -91,14 +91,14 @@ def check_commands(flight: Flight, vehicle: Vehicle | None) -> tuple[list[Findin
             columns = " ".join(name for name, bad in zip(names, of_rotor, strict=True) if bad)
             text = f"{finite[outside].min():.4g} to {finite[outside].max():.4g}{unit} in {mask.sum()} samples"
             between = f"{low:g}..{high:.4g}{unit}"
-            found.append(of_rows("impossible_command", "blocking", columns, longest(mask), flight.t, text, between))
+            findings.append(of_rows("impossible_command", "blocking", columns, longest(mask), flight.t, text, between))
         share = (finite >= high - 2e-3 * (high - low)).mean(axis=0)
         if kind != "rotor_speed" and share.max() > 0:
             k = int(np.argmax(share))
             severity = "warning" if share[k] > SATURATED else "info"
             text = f"{share[k]:.2%} of the samples at full command"
-            found.append(Finding("saturation", severity, names[k], text, f"{SATURATED:.0%}"))
-    return found, impossible
+            findings.append(Finding("saturation", severity, names[k], text, f"{SATURATED:.0%}"))
+    return findings, impossible
 
 
 def check_rotor_unit(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
@@ -205,7 +205,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Verdict:
-    """order: rotor i of the vehicle is the log's order[i]. spin: 1, -1 or 0 (not told). given, best: explained share
+    """order: rotor i of the vehicle is the log's order[i]. spin: 1, -1 or 0 (not given). given, best: explained share
     of each axis under the vehicle's own order and under the best, (3,). clear: whether the next best is far behind."""
 
     order: tuple[int, ...]
@@ -309,8 +309,8 @@ def judge(motions: Sequence[Motion], vehicle: Vehicle) -> Verdict | None:
     orders = list(permutations(range(n))) if n <= 4 else _matched(fit, pattern)
     shares = {order: fit.explained(_reordered(pattern, order)) for order in orders}
     tilt = {order: float(share[:2].mean()) for order, share in shares.items()}
-    given = tuple(range(n))
-    order = max(orders, key=lambda each: tilt[each] + 1e-9 * (each == given))
+    stated = tuple(range(n))
+    order = max(orders, key=lambda each: tilt[each] + 1e-9 * (each == stated))
     rest = [value for other, value in tilt.items() if other != order]
     clear = n > 4 or not rest or tilt[order] - max(rest) > MARGIN
     against = fit.explained(-_reordered(pattern, order))[2]
@@ -374,9 +374,9 @@ def rotor_findings(verdict: Verdict | None, kind: str, vehicle: Vehicle) -> list
     over = f"over {verdict.seconds:.0f} s" + (f" of {verdict.flights} flights" if verdict.flights > 1 else "")
     findings = []
     if verdict.wrong_order:
-        given, best = ((f"roll {x[0]:.0%}, pitch {x[1]:.0%}") for x in (verdict.given, verdict.best))
+        stated, best = ((f"roll {x[0]:.0%}, pitch {x[1]:.0%}") for x in (verdict.given, verdict.best))
         order = ", ".join(map(str, verdict.order))
-        text = f"in the order of {vehicle.name} the rotors explain {given} of the angular acceleration {over};"
+        text = f"in the order of {vehicle.name} the rotors explain {stated} of the angular acceleration {over};"
         text += f" with the columns {order} as rotors 0, 1, ...: {best}"
         advice = "give the `layout` of the log's motors in the mapping"
         if verdict.clear:

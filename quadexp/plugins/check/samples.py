@@ -93,7 +93,7 @@ def row_numbers(columns: list[np.ndarray]) -> np.ndarray:
 
 def check_frozen(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Finding], np.ndarray]:
     """Sensors that repeat one value while the vehicle moves; and the mask of those samples, (k,)."""
-    found, frozen = [], np.zeros(len(t), bool)
+    findings, frozen = [], np.zeros(len(t), bool)
     step = period_of(t) if len(t) > 2 else 0.0
     least = max(LEAST_ROWS, int(np.ceil(FROZEN / step))) if step > 0 else len(t) + 1
     moving = _moving(streams, t)
@@ -109,11 +109,11 @@ def check_frozen(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Fi
             text = f"one value for {t[worst[1] - 1] - t[worst[0]]:.2f} s while the vehicle moves, {stuck} times"
             text += f" ({mask.mean():.1%} of the samples)"
             severity = "blocking" if mask.mean() > 0.02 else "warning"
-            found.append(of_rows("frozen_sensor", severity, COLUMNS[name], worst, t, text, f"{FROZEN:g} s"))
+            findings.append(of_rows("frozen_sensor", severity, COLUMNS[name], worst, t, text, f"{FROZEN:g} s"))
         elif columns := _still_axes(name, streams, t):
             text = "one value throughout while the vehicle moves along it"
-            found.append(Finding("frozen_sensor", "blocking", columns, text, f"{FROZEN:g} s"))
-    return found, frozen
+            findings.append(Finding("frozen_sensor", "blocking", columns, text, f"{FROZEN:g} s"))
+    return findings, frozen
 
 
 def _still_axes(name: str, streams: dict[str, np.ndarray], t: np.ndarray) -> str:
@@ -161,7 +161,7 @@ def check_spikes(
     """
     from scipy.ndimage import median_filter
 
-    found, masks = [], {}
+    findings, masks = [], {}
     gaps = np.flatnonzero(np.diff(t) > GAP * period_of(t)) + 1  # over which nothing is a neighbour
     for name, values in streams.items():
         if name == "q" or len(t) < 9:
@@ -187,8 +187,8 @@ def check_spikes(
         severity = "blocking" if bad.sum() > many or beyond.sum() > max(2, 0.0005 * len(t)) else "warning"
         text += f"; {bad.sum()} samples ({bad.mean():.2%})"
         rows = next(run for run in runs(bad) if run[0] <= row < run[1])
-        found.append(of_rows(f"{KEYS[name]}_outlier", severity, STREAMS[name][axis], rows, t, text, allowed))
-    return found, masks
+        findings.append(of_rows(f"{KEYS[name]}_outlier", severity, STREAMS[name][axis], rows, t, text, allowed))
+    return findings, masks
 
 
 def check_dead(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Finding], np.ndarray]:

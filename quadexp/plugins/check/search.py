@@ -113,12 +113,13 @@ def agreement(pair: Pair, floor: float | None = None) -> Agreement:
     a, b = expected - expected.mean(axis=0), seen - seen.mean(axis=0)
     aa, bb, ab = float(np.vdot(a, a)), float(np.vdot(b, b)), float(np.vdot(a, b))
     correlation, gain = (ab / np.sqrt(aa * bb), float(np.sqrt(bb / aa) * np.sign(ab))) if aa * bb > 0 else (0.0, 1.0)
-    dot, power, own = (float(np.vdot(*two)) for two in ((expected, seen), (expected, expected), (seen, seen)))
+    dot, power, power_seen = (float(np.vdot(*two)) for two in ((expected, seen), (expected, expected), (seen, seen)))
     square = np.mean(gap**2, axis=0)
     weight, floor = pair.relation.weight, floor or pair.relation.floor
     return Agreement(
         pair.relation, np.sqrt(square), a.std(axis=0), float(correlation), gain, floor,
-        size=float(np.sqrt(np.vdot(expected, expected) / len(gap))), likeness=dot / np.sqrt(power * own + 1e-300),
+        size=float(np.sqrt(np.vdot(expected, expected) / len(gap))),
+        likeness=dot / np.sqrt(power * power_seen + 1e-300),
         whole=dot / (power + 1e-300),
         evidence=-INDEPENDENT / 2 * weight * float(np.sum(np.log(square + floor**2))),
         excess=weight * max(0.0, float(square.sum()) / floor**2 - 3.0),
@@ -163,7 +164,7 @@ class Trial:
     @property
     def better(self) -> list[str]:
         """Relations that it betters."""
-        return [name for name, one in self.after.items() if one.evidence > self.before[name].evidence + 3.0]
+        return [name for name, misfit in self.after.items() if misfit.evidence > self.before[name].evidence + 3.0]
 
     @property
     def left(self) -> float:
@@ -174,15 +175,15 @@ class Trial:
     def shrinks(self, share: float, names: Sequence[str], axes: Sequence[int] = (0, 1, 2)) -> bool:
         """Whether of one of these relations less than this share of the residual is left, along these axes."""
         for name in set(names) & self.after.keys():
-            was, left = (np.linalg.norm(side[name].residual[list(axes)]) for side in (self.before, self.after))
-            if left < share * was:
+            was, after = (np.linalg.norm(side[name].residual[list(axes)]) for side in (self.before, self.after))
+            if after < share * was:
                 return True
         return False
 
     def plausible(self) -> bool:
         """A candidate must make two moving streams agree, not only make both small, and make no relation worse."""
         fault, better, after = self.candidate.fault, self.better, self.after
-        if any(one.evidence < self.before[name].evidence - 30.0 for name, one in after.items()):
+        if any(misfit.evidence < self.before[name].evidence - 30.0 for name, misfit in after.items()):
             return False
         if fault in ("scale", "clock_scale") and not self.shrinks(TELLING, MOVES, self.candidate.axes):
             return False  # a slope due to noise
@@ -208,7 +209,7 @@ class Trial:
     @property
     def gains(self) -> bool:
         """Whether it makes what it changes agree better, and nothing agree worse."""
-        worse = any(one.evidence < self.before[name].evidence - 1.0 for name, one in self.after.items())
+        worse = any(misfit.evidence < self.before[name].evidence - 1.0 for name, misfit in self.after.items())
         return not worse and evidence(self.after) > evidence(self.before)
 
     @property
@@ -218,20 +219,26 @@ class Trial:
 
     def finding(self, rival: Trial | None) -> Finding:
         """rival: the next best candidate, where it lies less than MARGIN behind."""
-        one, name = self.candidate, self.telling
+        candidate, name = self.candidate, self.telling
         rest, unit = self.after[name].left, self.after[name].relation.unit
-        text = f"{one.text}: {self.before[name].words}; corrected, the difference is {rest:.3g} {unit}"
-        advice = "correct the mapping of the import: " + ", ".join(f"`{line}`" for line in one.lines)
-        advice += f"; or import {one.options}" if one.options else ""
+        text = f"{candidate.text}: {self.before[name].words}; corrected, the difference is {rest:.3g} {unit}"
+        advice = "correct the mapping of the import: " + ", ".join(f"`{line}`" for line in candidate.lines)
+        advice += f"; or import {candidate.options}" if candidate.options else ""
         if rival is not None:
             other, behind = rival.candidate, self.value - rival.value
             likely = f"{behind:.1f} log units less likely only ({MARGIN:g} are sure)" if behind > 0 else "as likely"
             text += f"; but {other.where}: {other.text}, is {likely}"
             advice += f"; decide between this and {', '.join(other.lines)}, which the data do not"
         allowed = "SI units, world ENU, body FLU, quaternion body to world with w first"
-        both = [one.severity] if rival is None else [one.severity, rival.candidate.severity]
+        both = [candidate.severity] if rival is None else [candidate.severity, rival.candidate.severity]
         return Finding(
-            one.fault, max(both, key=SEVERITIES.index), one.where, text, allowed, advice, correction=one.correction
+            candidate.fault,
+            max(both, key=SEVERITIES.index),
+            candidate.where,
+            text,
+            allowed,
+            advice,
+            correction=candidate.correction,
         )
 
 
@@ -294,15 +301,15 @@ def _small_factors(windows: Windows, before: Agreements, taken: list[Candidate])
     by: warnings. And how well the streams agree without them."""
     scaled = {stream for mended in taken if mended.fault in ("scale", "units") for stream in mended.streams}
     findings = []
-    told: set[str] = set()
+    reported: set[str] = set()
     for candidate in axis_candidates(windows, small=True):
         relation = {"w": "rate", "f": "force"}.get(candidate.streams, "velocity")
         if candidate.fault == "scale":
             candidate = replace(candidate, severity="warning")
         trial = _tried(candidate, windows, before)
-        if candidate.streams in scaled or relation in told or trial is None or not trial.gains:
+        if candidate.streams in scaled or relation in reported or trial is None or not trial.gains:
             continue
-        told.add(relation)
+        reported.add(relation)
         findings.append(trial.finding(None))
         windows, before = trial.windows, trial.after
     return findings, before
@@ -322,7 +329,7 @@ def _misfits(before: Agreements, findings: list[Finding]) -> list[Finding]:
         bad = large & (excess > MOST_LEFT * np.maximum(relation.signal, relation.floor))
         if not bad.any():
             continue
-        axes = ", ".join(axis for axis, one in zip("xyz", bad, strict=True) if one)
+        axes = ", ".join(axis for axis, is_bad in zip("xyz", bad, strict=True) if is_bad)
         floors = float(np.max(relation.residual[bad])) / relation.floor
         corrected = " once what is named is corrected" if findings else ""
         text = f"{relation.words}{corrected}; along {axes} up to {floors:.1f} times what sensors differ by"

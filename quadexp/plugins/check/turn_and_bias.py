@@ -42,27 +42,27 @@ Sides = dict[str, tuple[np.ndarray, np.ndarray]]  # letter -> what the motion sa
 
 def sides(windows: Windows) -> Sides:
     """Of gyro and accelerometer, where the motion tells them."""
-    found: Sides = {}
+    result: Sides = {}
     rate = next((pair for pair in pairs(windows, "w") if pair.name == "rate"), None)
     if rate is not None:
         moves = np.sqrt(np.mean(np.sum(rate.expected**2, axis=1)))
         if moves > LEAST_MOTION * RELATIONS["rate"].floor:
-            found["w"] = rate.expected, rate.measured
+            result["w"] = rate.expected, rate.measured
     force = body_force(windows)
     if force is not None:
-        found["f"] = force
-    return found
+        result["f"] = force
+    return result
 
 
 def turned_and_biased(windows: Windows) -> list[Candidate]:
     """Of the gyro, the accelerometer, and both on one board: turned and biased at once, where the flight tells both."""
     known = sides(windows)
-    found = []
+    candidates = []
     for streams, (_, _, words) in SENSORS.items():
         if set(streams) <= known.keys():
             candidate = _candidate(streams, {name: known[name] for name in streams}, len(windows.t), words)
-            found += [] if candidate is None else [candidate]
-    return found
+            candidates += [] if candidate is None else [candidate]
+    return candidates
 
 
 def _candidate(streams: str, known: Sides, windows: int, words: str) -> Candidate | None:

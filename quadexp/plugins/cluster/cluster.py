@@ -74,7 +74,7 @@ def open_cluster(config: Any, workers: int) -> Iterator[Client]:
         except Exception as error:
             where = f"engine.address={address}" if address else f"engine={config.name}"
             lines = [line.strip() for line in str(error).splitlines() if line.strip()] or [type(error).__name__]
-            raise QuadexpError(f"{where} cannot be had: {lines[-1]}") from error
+            raise QuadexpError(f"{where} is not found: {lines[-1]}") from error
         stack.enter_context(client)
         yield client
 
@@ -125,7 +125,7 @@ def _of_jobs(config: Any, workers: int, security: Security) -> Iterator[Any]:
 # ------------------------------------------------------------------------------------------------------------- worker
 @dataclass(frozen=True)
 class Sweep:
-    """What a worker is told of a sweep. timeout: s a cell may take. memory: limit of its process in GB. expected:
+    """What a worker is given a sweep. timeout: s a cell may take. memory: limit of its process in GB. expected:
     versions and hash of the sources that a worker must have. folders: of the user's own modules. directory: of the
     driver.
     """
@@ -207,8 +207,8 @@ class DaskEngine:
         try:
             while True:
                 while len(submitted) < QUEUED * max(threads, 1) and (task := next(tasks, None)):
-                    given = sweep, function, task.key, pickle.dumps(task)
-                    future = client.submit(run_cell, *given, key=f"{client.id}/{task.key}", pure=False)
+                    arguments = sweep, function, task.key, pickle.dumps(task)
+                    future = client.submit(run_cell, *arguments, key=f"{client.id}/{task.key}", pure=False)
                     submitted[future] = task
                     completed.add(future)
                 if not submitted:

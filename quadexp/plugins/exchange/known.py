@@ -228,11 +228,11 @@ class Known:
                 f"--to {target}: has four rotors in an x ({', '.join(quadrants)}), vehicle={self.vehicle.name} has "
                 f"{self.vehicle.n_rotors} at {position[:, :2].tolist()}"
             )
-        found = [int(self.vehicle.rotor_spin[i]) for i in order]
-        if found != list(spins):
+        spins_in_order = [int(self.vehicle.rotor_spin[i]) for i in order]
+        if spins_in_order != list(spins):
             raise UsageError(
                 f"--to {target}: rotors {', '.join(quadrants)} have reaction torques of the signs {list(spins)} there, "
-                f"vehicle={self.vehicle.name} has {found}: they turn the other way"
+                f"vehicle={self.vehicle.name} has {spins_in_order}: they turn the other way"
             )
         return order
 

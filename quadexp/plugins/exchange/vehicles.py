@@ -47,8 +47,8 @@ def _crazyflow(path: Path, sections: dict[str, Any], section: str) -> dict[str, 
     if not section and len(sections) == 1:
         section = next(iter(sections))
     if section not in sections:
-        found = f"{section} is not there" if section else "it has several drones"
-        raise UsageError(f"{path}: {found}: FILE:NAME, with NAME one of {', '.join(sections) or '(none)'}")
+        cause = f"{section} is not there" if section else "it has several drones"
+        raise UsageError(f"{path}: {cause}: FILE:NAME, with NAME one of {', '.join(sections) or '(none)'}")
     return vehicle_of(sections[section]) | {"rate_max": RATE_MAX}
 
 

@@ -27,8 +27,8 @@ import numpy.typing as npt
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
+from quadexp.models.build_context import BuildContext
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
-from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, Triple, key, keyed
 from quadexp.physics.drag import linear_drag_force
 from quadexp.physics.expression import Expression, limited, symbols
@@ -63,8 +63,8 @@ class DroneModels(PlantPart):
 
     former_kind = "drone_models"
 
-    def build(self, given: Given) -> DroneModelsPlant:
-        return DroneModelsPlant(given.vehicle, self)
+    def build(self, context: BuildContext) -> DroneModelsPlant:
+        return DroneModelsPlant(context.vehicle, self)
 
 
 class DroneModelsPlant(RotorSpeedPlant):

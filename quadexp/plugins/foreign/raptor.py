@@ -59,9 +59,9 @@ class Raptor(Law):
         """See Law: the policy's first hidden state, and no action."""
         return {"hidden": policy(package_identity("foundation_policy")).layers[1].initial_hidden_state.ravel()}
 
-    def equations(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+    def equations(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """See Law; (1)."""
-        x, state, weights = given.state, given.reference, package_identity("foundation_policy")
+        x, state, weights = inputs.state, inputs.reference, package_identity("foundation_policy")
         order, turn = layout(vehicle)
         turned = about_z(ca.DM(turn))  # policy's body to the vehicle's
         level = about_z(heading_of(rotation_matrix(state[ATTITUDE]))) @ turned  # policy's world to ours
@@ -120,9 +120,9 @@ def about_z(angle: Expression) -> Expression:
     return ca.vertcat(ca.horzcat(c, -s, 0), ca.horzcat(s, c, 0), ca.horzcat(0, 0, 1))
 
 
-def evaluated(made: Any, observation: Expression, hidden: Expression) -> tuple[Expression, Expression]:
+def evaluated(function: Any, observation: Expression, hidden: Expression) -> tuple[Expression, Expression]:
     """Action (4,) and next hidden state (16,) of the package's policy."""
-    first, memory, last = made.layers
+    first, memory, last = function.layers
     seen = ca.fmax(_matrix(first.weights) @ observation + _matrix(first.biases), 0)
     of_hidden = _matrix(memory.weights_hidden) @ hidden + _matrix(memory.biases_hidden)
     of_input = _matrix(memory.weights_input) @ seen + _matrix(memory.biases_input)

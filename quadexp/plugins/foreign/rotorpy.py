@@ -23,8 +23,8 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
+from quadexp.models.build_context import BuildContext
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
-from quadexp.parts.part import Given
 from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression, limited, symbols
@@ -77,8 +77,8 @@ class RotorPy(PlantPart):
 
     former_kind = "rotorpy"
 
-    def build(self, given: Given) -> RotorPyPlant:
-        return RotorPyPlant(given.vehicle, self)
+    def build(self, context: BuildContext) -> RotorPyPlant:
+        return RotorPyPlant(context.vehicle, self)
 
 
 class RotorPyPlant(RotorSpeedPlant):

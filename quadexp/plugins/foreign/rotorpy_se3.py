@@ -20,8 +20,8 @@ from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
+from quadexp.models.build_context import BuildContext
 from quadexp.names import named
-from quadexp.parts.part import Given
 from quadexp.parts.settings import Settings, Triple, key, keyed, part
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -46,7 +46,7 @@ class RotorPySE3Controller:
     """A Controller (see control.base); raises UsageError without the package, and for other than four rotors."""
 
     reference_period, residual, backend = 0.0, None, "interpreted"
-    name, source = "none", ""
+    residual_name, source = "none", ""
 
     def __init__(self, vehicle: Vehicle, keys: RotorPySE3Keys) -> None:
         if vehicle.n_rotors != 4:
@@ -74,7 +74,7 @@ class RotorPySE3Controller:
         heading = {"yaw": window.yaw[0], "yaw_dot": window.yaw[1]}
         wanted = self._law.update(measurement.t, state, path | heading)["cmd_motor_thrusts"]
         u = np.clip(wanted, self.vehicle.thrust_min, self.vehicle.thrust_max)
-        status = Status.RICCATI if np.isfinite(u).all() else Status.FAILED
+        status = Status.OK if np.isfinite(u).all() else Status.FAILED
         return u, StepRecord(time.perf_counter() - began, status, 0, int((u != wanted).sum()), 0.0)
 
     def log(self) -> dict[str, float]:
@@ -99,14 +99,14 @@ def parameters(vehicle: Vehicle, keys: RotorPySE3Keys) -> dict[str, Any]:
     }
 
 
-def _controller(given: dict[str, Any]) -> Any:
+def _controller(parameters: dict[str, Any]) -> Any:
     try:
         module = importlib.import_module("rotorpy.controllers.quadrotor_control")
     except ImportError:
         raise UsageError(
             'controller=rotorpy_se3: needs the package rotorpy: pip install "quadexp[controllers]"'
         ) from None
-    return module.SE3Control(given)
+    return module.SE3Control(parameters)
 
 
 @keyed
@@ -115,6 +115,6 @@ class RotorPySE3(RotorPySE3Keys, ControllerPart):
 
     former_kind = "rotorpy_se3"
 
-    def build(self, given: Given) -> Any:
+    def build(self, context: BuildContext) -> Any:
         """See ControllerPart."""
-        return RotorPySE3Controller(given.vehicle, part(RotorPySE3Keys, self))
+        return RotorPySE3Controller(context.vehicle, part(RotorPySE3Keys, self))

@@ -6,7 +6,8 @@ physical units, with e_j = exp(-1/2 sum_i ((phi_i - Z_ji) / l_i)^2):
     mean     = sum_j alpha_j e_j + prior mean
     variance = sigma_f^2 - ||F e||^2             of the function; add sigma_n^2 for a new measurement
 
-Weighed by what it knows (`GPModel.weighed`), where data end it falls back to its prior mean m, continued by q:
+Weighed by what it knows (`GaussianProcessModel.weighed`), where data end it falls back to its prior mean m, continued
+by q:
 
     y = m + q + w (sum_j alpha_j e_j - q),     w = s^2 / (s^2 + variance),     s^2 = misfit of q at the points Z
 
@@ -149,7 +150,7 @@ class GPConfig(ModelPart):
             object.__setattr__(self, "features", made(GPFeatures, self.features))
         super().__post_init__()
 
-    def fit(self, rows: ResidualDataset, **options: Any) -> GPModel:
+    def fit(self, rows: ResidualDataset, **options: Any) -> GaussianProcessModel:
         """See ModelPart."""
         return fit_gp(rows, self, **options)
 
@@ -199,7 +200,7 @@ def mean_only(
     return OutputPosterior(output, features, points, alpha, length, signal, 0.0, np.zeros((len(alpha),) * 2), 0.0, 0)
 
 
-class GPModel(Model, frozen=True, tag="gaussian_process"):
+class GaussianProcessModel(Model, frozen=True, tag="gaussian_process"):
     """Gaussian processes of one or more outputs, and linear drag fitted to the same rows.
 
     mean: prior mean of the accelerations (terms, or LinearDrag, without drag for a constant), or None for zero; torque
@@ -259,16 +260,16 @@ class GPModel(Model, frozen=True, tag="gaussian_process"):
 
     def described(self, report: Callable[[], Mapping[str, Any]]) -> tuple[dict[str, Any], list[str]]:
         outputs, lines = {}, []
-        for one in self.outputs:
-            scales = one.lengthscale.tolist()
-            signal, noise = float(np.sqrt(one.signal_variance)), float(np.sqrt(one.noise_variance))
-            outputs[one.output] = {
-                "features": list(one.features), "inducing": len(one.alpha), "lengthscale": scales,
+        for output in self.outputs:
+            scales = output.lengthscale.tolist()
+            signal, noise = float(np.sqrt(output.signal_variance)), float(np.sqrt(output.noise_variance))
+            outputs[output.output] = {
+                "features": list(output.features), "inducing": len(output.alpha), "lengthscale": scales,
                 "signal_std": signal, "noise_std": noise,
             }  # fmt: skip
-            text = ", ".join(f"{name} {scale:.3g}" for name, scale in zip(one.features, scales, strict=True))
-            stds = f"signal {signal:.3g}, noise {noise:.3g} {describe(one.output, 'residuals').unit}"
-            lines.append(f"{one.output:<12}{len(one.alpha)} points, length scales {text}; {stds}")
+            text = ", ".join(f"{name} {scale:.3g}" for name, scale in zip(output.features, scales, strict=True))
+            stds = f"signal {signal:.3g}, noise {noise:.3g} {describe(output.output, 'residuals').unit}"
+            lines.append(f"{output.output:<12}{len(output.alpha)} points, length scales {text}; {stds}")
         return {"outputs": outputs}, [*lines, *super().described(report)[1]]
 
 
@@ -332,10 +333,10 @@ def fallback(posterior: OutputPosterior, *, continued: bool) -> np.ndarray:
     """
     output, points = posterior.output, posterior.inducing
     at_points, freedom, c = posterior.predict(points).mean, len(points), np.zeros(N_FALLBACK - 1)
-    own = f"v_{output[-1]}"
-    if continued and own in posterior.features and {*posterior.features} <= _continued(output):
+    along = f"v_{output[-1]}"
+    if continued and along in posterior.features and {*posterior.features} <= _continued(output):
         columns = {name: points[:, i] for i, name in enumerate(posterior.features)}
-        v, thrust = columns[own], columns.get(THRUST, np.zeros(freedom))
+        v, thrust = columns[along], columns.get(THRUST, np.zeros(freedom))
         design = np.column_stack([np.ones(freedom), v, v * np.abs(v), thrust])
         c, _, rank, _ = np.linalg.lstsq(design, at_points)
         at_points, freedom = at_points - design @ c, freedom - rank
@@ -441,14 +442,14 @@ def _scalar_functions(
                 dy_dz[row, columns] -= 4 * scale[len(phi)] * (d_share * known_slope[len(phi)])
             phi.append(ca.sum1(z[columns]))
     select = ca.Function("select", [z, scale], [scale * ca.vertcat(*phi)])
-    given = [z, mean, scale, numbers, value, slope, known, known_slope]
-    return select, ca.Function("assemble", given, [ca.sparsify(y), ca.sparsify(dy_dz)])
+    arguments = [z, mean, scale, numbers, value, slope, known, known_slope]
+    return select, ca.Function("assemble", arguments, [ca.sparsify(y), ca.sparsify(dy_dz)])
 
 
 def fit_gp(
-    dataset: ResidualDataset, settings: GPConfig | None = None, *, start: GPModel | None = None,
+    dataset: ResidualDataset, settings: GPConfig | None = None, *, start: GaussianProcessModel | None = None,
     callback: Callback = quiet, intervals: bool = True,
-) -> GPModel:  # fmt: skip
+) -> GaussianProcessModel:  # fmt: skip
     """Fit every output named in `settings.features` to all rows (up to settings.max_rows) of the dataset.
 
     start: model with the same outputs and sizes, whose values replace the first stages; a quarter of the iterations
@@ -496,4 +497,4 @@ def fit_gp(
     callback("fit done", 1.0)
     stated = origin(dataset, [name for names in chosen.values() for name in names], settings, LIBRARIES)
     stated["settings"]["features"] = lists(chosen)
-    return GPModel(tuple(posteriors), mean, drag, **stated)
+    return GaussianProcessModel(tuple(posteriors), mean, drag, **stated)

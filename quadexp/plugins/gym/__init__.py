@@ -16,6 +16,6 @@ def register() -> None:
     import gymnasium
 
     place = "quadexp.plugins.gym.env:Tracking"
-    for name, given in {"Tracking-v0": {}, "Hover-v0": {"overrides": ("trajectory=hover",)}}.items():
+    for name, settings in {"Tracking-v0": {}, "Hover-v0": {"overrides": ("trajectory=hover",)}}.items():
         if f"quadexp/{name}" not in gymnasium.registry:
-            gymnasium.register(f"quadexp/{name}", entry_point=place, kwargs=given)
+            gymnasium.register(f"quadexp/{name}", entry_point=place, kwargs=settings)

@@ -135,7 +135,7 @@ class Tracking(gymnasium.Env[np.ndarray, np.ndarray]):
         return x
 
     def _measured(self) -> np.ndarray:
-        """The state as controllers are told it."""
+        """The state as controllers are given it."""
         return np.asarray(getattr(self.plant, "measured", self._x))
 
     def _observation(self) -> np.ndarray:

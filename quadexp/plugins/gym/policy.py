@@ -19,7 +19,8 @@ from quadexp.control.base import Measurement, Window
 from quadexp.control.laws.explicit import Rate
 from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError, missing_package
-from quadexp.parts.part import Given, imported
+from quadexp.models.build_context import BuildContext
+from quadexp.parts.part import imported
 from quadexp.parts.settings import key, keyed
 from quadexp.parts.user_modules import lies_outside, locate, own_folders
 from quadexp.physics.state import RATE
@@ -67,17 +68,17 @@ class Policy(ControllerPart):
         """See Part; also those of a user's function."""
         return own_folders() if self.is_function else ()
 
-    def build(self, given: Given) -> Any:
+    def build(self, context: BuildContext) -> Any:
         """See ControllerPart."""
-        return PolicyController(given.vehicle, self, self._function())
+        return PolicyController(context.vehicle, self, self._function())
 
     def _function(self) -> Function:
         if self.is_function:
             module, _, name = self.policy.partition(":")
-            found: Function = imported(KEY, f"{module}.{name}")
-            if not callable(found):
+            function: Function = imported(KEY, f"{module}.{name}")
+            if not callable(function):
                 raise UsageError(f"{KEY}={self.policy}: is not a function")
-            return found
+            return function
         suffix = Path(self.path).suffix
         if suffix == ".onnx":
             return of_onnx(self.path)
@@ -92,7 +93,7 @@ class PolicyController:
     Raises UsageError where it gives something else, or its rate does not divide the control rate."""
 
     reference_period, residual, backend = 0.0, None, "interpreted"
-    name, source = "none", ""
+    residual_name, source = "none", ""
 
     def __init__(self, vehicle: Vehicle, settings: Policy, act: Function) -> None:
         self.vehicle, self.control_period = vehicle, 1.0 / settings.rate

@@ -93,14 +93,14 @@ def _of_simulated(flight: Flight, name: str, vehicle: Vehicle) -> tuple[Search, 
     if timing.measured or timing.is_ideal:
         return search, delays
     dead_time = max(timing.delay - delays.age, 0.0)
-    error = max(KNOWN, delays.age_error)  # the transitions are told to about a quarter of a period
+    error = max(KNOWN, delays.age_error)  # the transitions are given to about a quarter of a period
     return search, replace(delays, dead_time=dead_time, dead_time_error=error, lag=timing.lag, lag_error=error)
 
 
 def timing_by_accelerometer(flights: Sequence[Flight], vehicle: Vehicle, *, of_estimate: bool) -> Timing | None:
     """Dead time and lag of the commands of simulated flights by their accelerometers; None where these do not tell.
 
-    of_estimate: whether the state is what the controller was told, whose age then adds to the dead time.
+    of_estimate: whether the state is what the controller was given, whose age then adds to the dead time.
     """
     known = []
     for flight in flights[:MOST_SEARCHED]:
@@ -138,8 +138,8 @@ def _of_log(flight: Flight, name: str, vehicle: Vehicle) -> tuple[Delays, list[s
     error[late.at_bound | (not late.late)] = np.inf
     delays = Delays(*ages, late.dead_time, float(error[0]), late.lag, float(error[1]))
     by = "the rotor speeds" if lines else f"{kind} and the specific force"
-    found = str(late) if late.late else f"none is seen; {late}"
-    return delays, [*report(delays)[:-2], f"commands, by {by}, 95 % intervals: {found}", *lines], late
+    sentence = str(late) if late.late else f"none is seen; {late}"
+    return delays, [*report(delays)[:-2], f"commands, by {by}, 95 % intervals: {sentence}", *lines], late
 
 
 def _by_speeds(samples: Samples, speeds: np.ndarray) -> tuple[CommandLag | None, list[str]]:
@@ -198,7 +198,7 @@ def _near(candidates: np.ndarray, likelihood: np.ndarray) -> np.ndarray:
 
 
 def told(flight: Flight, name: str) -> Stream:
-    """What the controller of a flight was told and has sent. Raises DataError where the flight does not say."""
+    """What the controller of a flight was given and has sent. Raises DataError where the flight does not say."""
     t = np.asarray(flight.t, float)
     period = np.diff(t)
     if len(t) < 2 or np.ptp(period) > EVEN * period.mean():

@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from quadexp.compile.symbolic import ca
+from quadexp.models.build_context import BuildContext
 from quadexp.models.residual import Residual
-from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, key, keyed
 from quadexp.physics.expression import limited, split, symbols
 from quadexp.physics.rigid_body import derivative_function, features_function
@@ -36,12 +36,12 @@ class FromModel(PlantPart):
     force_noise_density: float = key(0.0, FORCE_DENSITY)
     torque_noise_density: float = key(0.0, TORQUE_DENSITY)
 
-    def build(self, given: Given) -> FromModelPlant:
-        """The model was fitted to given.believed."""
+    def build(self, context: BuildContext) -> FromModelPlant:
+        """The model was fitted to context.assumed."""
         return FromModelPlant(
-            given.vehicle,
-            given.plant_model(self.model, self.residual),
-            model_mass=None if given.believed is given.vehicle else given.believed.mass,
+            context.vehicle,
+            context.plant_model(self.model, self.residual),
+            model_mass=None if context.assumed is context.vehicle else context.assumed.mass,
             step=self.step,
             force_noise_density=self.force_noise_density,
             torque_noise_density=self.torque_noise_density,

@@ -131,10 +131,10 @@ def selection_lines(rows: Sequence[Row], best: str) -> list[str]:
             note = f"{'' if row['in_sample'] else 'not fitted: '}{row['note']} {note}".strip()
         lines.append([row["name"], *cells, note])
     heads = ["RMSE (m/s^2)", *(part if part == "trimmed" else key for part, key in scores), ""]
-    left, groups = frozenset({0, len(heads) - 1}), {1: "in sample", **({5: "left out"} if held else {})}
+    left_columns, groups = frozenset({0, len(heads) - 1}), {1: "in sample", **({5: "left out"} if held else {})}
     note = "  (nominal: a curve fitted without drag beside it; `validate` takes the curve fitted beside drag."
     note += " best: of the air alone, see `air`, as `quadexp fit` compares)"
-    return Table(heads, lines, left=left, groups=groups, notes=[note]).lines()
+    return Table(heads, lines, left=left_columns, groups=groups, notes=[note]).lines()
 
 
 def mean_of(mode: str) -> str:

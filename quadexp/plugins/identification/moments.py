@@ -4,13 +4,13 @@ All that is compared is linear in numbers of the sample, z, with weights that de
 samples only M = sum z z' has to be kept, and what any delays leave is b' M b: every candidate costs the same, however
 long the flight. With s_j the thrust over the mass and p_j the torques of the command j + 1 periods ago, and t the time,
 
-    thrust     z = [s_j, s_j^2, t s_j, air, f_z]          air = [1, v_b, |v_b| v_b], told velocity in body axes
-    turning    z = [p_j, air, torque that the told rates need]                                    about x, about y
+    thrust     z = [s_j, s_j^2, t s_j, air, f_z]          air = [1, v_b, |v_b| v_b], given velocity in body axes
+    turning    z = [p_j, air, torque that the given rates need]                                    about x, about y
     velocity   z = [R_m' [change of v - g t, sums over SPAN of h R f_i and of h R e_z s_j], 1]   on each axis
     attitude   z = [turn, sums over SPAN of h R w_i, 1]                                           on each axis
 
-R: told attitude in the middle of a period h, R_m: of a span; f_i, w_i: accelerometer and told rate i periods before its
-end.
+R: given attitude in the middle of a period h, R_m: of a span; f_i, w_i: accelerometer and given rate i periods before
+its end.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ ROUND, ROUNDS = 25, 15  # steps of the half, in spans; twice as long from so man
 
 @dataclass(frozen=True)
 class Stream:
-    """What a controller was told and has sent at k instants, a period (s) apart.
+    """What a controller was given and has sent at k instants, a period (s) apart.
 
-    t: (k,) (s). state: told, (k, 13). specific_force: (k, 3), body (m/s^2). command: (k, n) (N), sent at t.
+    t: (k,) (s). state: given, (k, 13). specific_force: (k, 3), body (m/s^2). command: (k, n) (N), sent at t.
     """
 
     t: np.ndarray
@@ -137,9 +137,9 @@ class Moments:
 
     def _begin_spans(self) -> None:
         added = [self._rows[name] for name in ("velocity", "attitude")]
-        self.velocity, self.attitude = totals = [np.zeros((3, n, n)) for n in (len(one) + 4 for one in added)]
-        sums = [np.zeros((self.sizes.span + 1, *one.shape)) for one in added]
-        z = [np.asfortranarray(np.vstack([np.zeros((1 + len(one), 3)), np.eye(3)])) for one in added]
+        self.velocity, self.attitude = totals = [np.zeros((3, n, n)) for n in (len(column) + 4 for column in added)]
+        sums = [np.zeros((self.sizes.span + 1, *column.shape)) for column in added]
+        z = [np.asfortranarray(np.vstack([np.zeros((1 + len(column), 3)), np.eye(3)])) for column in added]
         self._spans = list(zip(added, sums, z, totals, strict=True))
         self._told = np.zeros((self.sizes.span + 1, 2, 3))
         self._rotations = np.zeros((self.sizes.span + 1, 3, 3))
@@ -182,7 +182,7 @@ def _zeros(size: int) -> np.ndarray:
 def _row(vehicle: Vehicle, period: float) -> ca.Function:
     """z of an instant, and what it adds to the sums over spans.
 
-    Inputs: told states x_before, x (13,); forces, rates (3, lags + 1), thrusts (3, all commands), the oldest first: s
+    Inputs: given states x_before, x (13,); forces, rates (3, lags + 1), thrusts (3, all commands), the oldest first: s
     and p, without the command of now; t. Outputs: thrust, turning_x, turning_y; velocity (3, ..) and attitude
     (3, lags + 1); turn (3,); R of x (3, 3).
     """

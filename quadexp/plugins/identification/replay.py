@@ -251,8 +251,8 @@ def noise_of(rows: FlightRows, predictor: Predictor, vehicle: Vehicle, torque: T
     needed = np.diff(rows.rate, axis=0) / rows.dt @ vehicle.inertia_matrix
     needed += np.cross(rate, rate @ vehicle.inertia_matrix)
     gain = np.ones(3) if torque is None else np.array([1.0 if ratio is None else ratio for ratio in torque.used])
-    left = needed - gain * (mean_thrust @ vehicle.allocation[1:].T)
-    remaining, without = _density(left[:, :2], rows), _density(needed[:, :2], rows)
+    unexplained = needed - gain * (mean_thrust @ vehicle.allocation[1:].T)
+    remaining, without = _density(unexplained[:, :2], rows), _density(needed[:, :2], rows)
     shows = remaining < BETTER * without
     return Noise(force, remaining if shows else 0.0, shows)
 

@@ -23,7 +23,7 @@ def identify(
     figure: Path | None = None,
     force: bool = False,
 ) -> dict[str, Any]:
-    """Identify a vehicle from its flights. chosen: is told the method that is taken, and why. settings: of the
+    """Identify a vehicle from its flights. chosen: is given the method that is taken, and why. settings: of the
     regression (vehicle_model.FitSettings). The report has `method`, and what this method gives."""
     from quadexp.experiment.vehicle_of import vehicle_named
     from quadexp.plugins.identification.identify import choose_method, identify_files

@@ -35,9 +35,9 @@ from quadexp.parts.settings import SEEDS, key, keyed
 from quadexp.physics.expression import Expression, split, symbols
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.gaussian_process.gaussian_process import (
+    GaussianProcessModel,
     GPConfig,
     GPFeatures,
-    GPModel,
     OutputPosterior,
     fit_gp,
     gaussian_process_residual,
@@ -67,7 +67,7 @@ class RotorForce(ModelPart):
         return fit_rotor_force(rows, self, start=start, intervals=intervals, callback=callback)
 
 
-class RotorForceModel(GPModel, frozen=True, tag="rotor_force"):
+class RotorForceModel(GaussianProcessModel, frozen=True, tag="rotor_force"):
     """mean: the blade element. outputs: the processes, () where there is none. edges: of each feature least, lower and
     upper end of the bulk, largest, (features, 4). features: names. note: why nothing is corrected, or ""."""
 
@@ -236,8 +236,8 @@ def fit_mean(rows: ResidualDataset, radius: float | None) -> TermMean:
 
 def _beyond(rows: ResidualDataset, mean: TermMean) -> ResidualDataset:
     """The rows with the mean subtracted, whose thrust has one scale already."""
-    left = rows.matrix(list(AXIS)) - mean.acceleration(rows)
-    columns = dict(rows.columns) | dict(zip(AXIS, left.T, strict=True))
+    unexplained = rows.matrix(list(AXIS)) - mean.acceleration(rows)
+    columns = dict(rows.columns) | dict(zip(AXIS, unexplained.T, strict=True))
     return ResidualDataset(columns, dict(rows.metadata) | {"recorded": False})
 
 

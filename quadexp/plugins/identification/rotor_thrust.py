@@ -7,7 +7,7 @@
 Commands u are held from sample to sample, act d late, and through the lag tau, which may be another one upwards than
 downwards. A transition needs the mean of T over its time. For commands it is exact, because the lag has a closed form;
 measured thrusts correct the model at both ends of the transition. Where the state comes from an estimator that is late,
-its transitions belong to earlier times: with commands alone this adds to d and cannot be told from it.
+its transitions belong to earlier times: with commands alone this adds to d and cannot be distinguished from it.
 
 `fit_timing` finds lag and delays: by the measured thrusts where rotor speeds were logged, and the delay of the state by
 the residual; without rotor speeds tau and d too by the residual, in which commands that act late leave part of their
@@ -212,7 +212,7 @@ class TimingFit:
         dead = timing.delay + timing.state_delay
         return (
             f"{known} ({source}){behind}: a_z {self.before[0]:.3g} -> {self.after[0]:.3g} m/s^2 rms;"
-            f" a controller is told by timing.motor_lag={timing.lag:.3g} timing.dead_time={dead:.3g}"
+            f" a controller is given by timing.motor_lag={timing.lag:.3g} timing.dead_time={dead:.3g}"
         )
 
 
@@ -231,8 +231,8 @@ def fit_timing(
     by_speed = measured and len(measured) == len(score.flights)
     timing = _by_rotor_speed(measured, vehicle, score) if by_speed else _search(score)
     if known is not None and not by_speed:
-        left, least = (float(np.mean(np.log(score.rms(one)))) for one in (known, timing))
-        timing = known if left < least + WORTH else timing
+        residual, least = (float(np.mean(np.log(score.rms(candidate)))) for candidate in (known, timing))
+        timing = known if residual < least + WORTH else timing
     return TimingFit(timing, score.rms(Timing()), score.rms(timing))
 
 

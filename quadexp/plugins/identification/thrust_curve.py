@@ -10,8 +10,8 @@
 The drag along z is fitted together with the curve: a climbing vehicle commands more thrust, so a curve fitted alone
 would absorb part of d_z. The exponent g is 1 (NanoBench) or fitted, since the motor voltage is not the battery's
 reading. By default the intercept b is fitted for the logged acceleration only: over the narrow band of commands of a
-flight it cannot be told apart from c_1 and c_2. It counts as thrust. Command with battery voltage: NanoBench (Ullah &
-Baca, arXiv 2603.09908).
+flight it cannot be distinguished from c_1 and c_2. It counts as thrust. Command with battery voltage: NanoBench (Ullah
+& Baca, arXiv 2603.09908).
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Age of the estimate, dead time and lag of the commands, found in what a controller was told and has sent.
+"""Age of the estimate, dead time and lag of the commands, found in what a controller was given and has sent.
 
 Dead time d and lag of the commands. The accelerometer's z axis is the thrust over the mass and air: with the thrust
 T(d, lag) of the commands (delivered.py), and T2 that of their squares,
 
-    f_z = [1, T, T2, v_b, |v_b| v_b, t T] c                           v_b: told velocity, body axes
+    f_z = [1, T, T2, v_b, |v_b| v_b, t T] c                           v_b: given velocity, body axes
 
-c by least squares; d and lag leave the least of f_z, and of the torques that the told rates need. So neither drag, nor
+c by least squares; d and lag leave the least of f_z, and of the torques that the given rates need. So neither drag, nor
 a scale of the thrust, nor a battery's sag is taken for a delay, and neither the state's age for that of the commands. A
 lag or a dead time alone is taken where both are not WORTH more.
 
@@ -60,7 +60,7 @@ BETWEEN = np.vander(np.linspace(0.0, 1.0, FINE + 1), 5) @ np.linalg.inv(np.vande
 @dataclass(frozen=True)
 class Delays:
     """What was found, s; the standard error of each behind it. age: of position, velocity and attitude. gyro: how much
-    younger the told body rate is than the told attitude. dead_time, lag: of the commands."""
+    younger the given body rate is than the given attitude. dead_time, lag: of the commands."""
 
     age: float
     age_error: float
@@ -83,7 +83,7 @@ class Delays:
 
     @property
     def gyro_fresh(self) -> bool:
-        """Whether the told body rate is nearer to now than to the attitude's time."""
+        """Whether the given body rate is nearer to now than to the attitude's time."""
         return self.gyro > self.age / 2
 
 
@@ -93,10 +93,10 @@ class Search:
 
     def __init__(self, moments: Moments) -> None:
         self._evaluate = BufferedFunction(_evaluate(moments.vehicle, moments.sizes.period))
-        self.sizes, self.rates_age, given = moments.sizes, 0.0, self._evaluate.arguments
+        self.sizes, self.rates_age, arguments = moments.sizes, 0.0, self._evaluate.arguments
         for name in ("thrust", "turning_x", "turning_y"):
-            given[name].T[...] = getattr(moments, name)
-        given["count"][0] = moments.counted
+            arguments[name].T[...] = getattr(moments, name)
+        arguments["count"][0] = moments.counted
         first, *halves = moments.half
         totals = moments.velocity, moments.attitude
         self._velocity, self._attitude = (
@@ -105,9 +105,9 @@ class Search:
 
     def find(self) -> Delays:
         """The likeliest delays."""
-        found, errors = self._commands()
-        ages = self.ages(within_periods(self.sizes, *found[:2]))
-        return Delays(*ages, found[0], errors[0], found[1], errors[1])
+        constants, errors = self._commands()
+        ages = self.ages(within_periods(self.sizes, *constants[:2]))
+        return Delays(*ages, constants[0], errors[0], constants[1], errors[1])
 
     def ages(self, mean: np.ndarray | None = None) -> tuple[float, float, float, float]:
         """Age of the state and how much younger the rates are, each with its standard error (s). mean: see
@@ -117,8 +117,8 @@ class Search:
 
     def age_likelihood(self, ages: np.ndarray) -> np.ndarray:
         """Log likelihood of ages (s) of the state, less that of the one found, when the search has ended."""
-        found = self._velocity.likelihood(self._velocity.found)
-        return np.array([self._velocity.likelihood(float(age)) - found for age in ages])
+        estimate = self._velocity.likelihood(self._velocity.found)
+        return np.array([self._velocity.likelihood(float(age)) - estimate for age in ages])
 
     def cost(self, at: np.ndarray) -> float:
         """Minus the log likelihood of dead time, lag and age of the rates, (3,) (s)."""
@@ -140,13 +140,13 @@ class Search:
             ends.append(self._descend(start, mask))
         ends.append(both)
         worth = min(cost for _, cost in ends) + WORTH
-        found = next(at for at, cost in ends if cost <= worth)
-        self.rates_age = float(found[2])
-        _, _, normal = self._slopes(found)
+        estimate = next(at for at, cost in ends if cost <= worth)
+        self.rates_age = float(estimate[2])
+        _, _, normal = self._slopes(estimate)
         covariance = np.linalg.inv(normal + np.eye(3) / 0.1**2)  # 100 ms before anything is known
-        together = float(found.sum() + np.sqrt(covariance.sum()))  # none is negative: none is more than all of them
+        together = float(estimate.sum() + np.sqrt(covariance.sum()))  # none is negative: none is more than all of them
         errors = np.minimum(np.sqrt(np.diag(covariance)), max(together, 0.0))
-        return [float(one) for one in found], [float(one) for one in errors]
+        return [float(number) for number in estimate], [float(number) for number in errors]
 
     def _slopes(self, at: np.ndarray, free: Sequence[int] | np.ndarray = (0, 1, 2)) -> tuple[float, Any, Any]:
         """Cost, its gradient and the normal matrix of what remains over its noise, by differences."""
@@ -156,10 +156,10 @@ class Search:
             rows.append([self._evaluate.results[name].copy() for name in LEFT])
         gradient, normal = np.zeros(len(free)), np.zeros((len(free), len(free)))
         for i in range(0, len(LEFT), 2):
-            left, against = (np.array([row[j] for row in rows]) for j in (i, i + 1))
-            square = max(float(left[0] @ against[0]) / self._evaluate.arguments["count"][0], 0.0)
+            commands, against = (np.array([row[j] for row in rows]) for j in (i, i + 1))
+            square = max(float(commands[0] @ against[0]) / self._evaluate.arguments["count"][0], 0.0)
             noise = np.sqrt(square) + LEAST_NOISE
-            slopes, along = ((one[1:] - one[0]) / (SMALL_STEP * noise) for one in (left, against))
+            slopes, along = ((rows_of[1:] - rows_of[0]) / (SMALL_STEP * noise) for rows_of in (commands, against))
             gradient += slopes @ against[0] / noise
             normal += slopes @ along.T
         return costs[0], gradient, normal
@@ -196,7 +196,7 @@ class _Spans:
         self._parts = [(full, count), (half, first), (full - half, count - first)]
 
     def _weights(self, shift: float, mean: np.ndarray) -> np.ndarray:
-        """b without the constants: what is told less the integral of what was read `shift` (s) earlier."""
+        """b without the constants: what is given less the integral of what was read `shift` (s) earlier."""
         lags, whole = self._sizes.lags, int(shift / self._sizes.period + 1e-9)
         s = max(shift / self._sizes.period - whole, 0.0)
         w, held = np.zeros(lags + 1), np.zeros(lags)
@@ -231,19 +231,19 @@ class _Spans:
         for i, shift in enumerate(grid):
             b = self._weights(float(shift), mean)
             squares[:, i] = [self._squares(b, part) for part in range(3)]
-        found, *halves = (_bottom(grid, one) for one in squares)
-        low, high = max(found - NEAR, 0.0), min(found + NEAR, LARGEST_AGE)
+        minimum, *halves = (_bottom(grid, cost) for cost in squares)
+        low, high = max(minimum - NEAR, 0.0), min(minimum + NEAR, LARGEST_AGE)
         slope = (self._weights(high, mean) - self._weights(low, mean)) / (high - low)
         self._mean = mean
-        told = self.spans / OVERLAP * np.sum(self._squares(slope, 0) / (self.left(found) + TINY))
+        information = self.spans / OVERLAP * np.sum(self._squares(slope, 0) / (self.left(minimum) + TINY))
         likelihood = -self.spans / OVERLAP / 2 * _unlikely(squares[0])
-        near = grid[likelihood > self.likelihood(found) - WITHIN]  # as good as likely, where noise alone has a slope
-        wide = np.abs(near - found).max(initial=0.0)
-        error = max(1 / np.sqrt(max(told, 1e-30)), abs(halves[0] - halves[1]) / 2, wide / 2)
-        if self.likelihood(found) - likelihood[0] < WORTH_AN_AGE:
-            found, error = 0.0, max(error, found)
-        self.found = found
-        return found, float(error)
+        near = grid[likelihood > self.likelihood(minimum) - WITHIN]  # as good as likely, where noise alone has a slope
+        wide = np.abs(near - minimum).max(initial=0.0)
+        error = max(1 / np.sqrt(max(information, 1e-30)), abs(halves[0] - halves[1]) / 2, wide / 2)
+        if self.likelihood(minimum) - likelihood[0] < WORTH_AN_AGE:
+            minimum, error = 0.0, max(error, minimum)
+        self.found = minimum
+        return minimum, float(error)
 
 
 def _unlikely(squares: np.ndarray) -> Any:
@@ -298,9 +298,9 @@ def _evaluate(vehicle: Vehicle, period: float) -> ca.Function:
         scale = ca.sqrt(ca.fmax(ca.diag(normal), 1e-12))
         normal = normal / (scale @ scale.T) + 1e-9 * ca.DM.eye(normal.size1())
         c = ca.solve(normal, against / scale, "ldl") / scale
-        left = ca.vertcat(-(columns @ c), 1)
+        residual = ca.vertcat(-(columns @ c), 1)
         against_all = M[:, -1] - products @ c
-        square = ca.fmax(ca.dot(left, against_all), 0) / a["count"]
+        square = ca.fmax(ca.dot(residual, against_all), 0) / a["count"]
         cost += a["count"] * ca.log(ca.sqrt(square) + LEAST_NOISE)
-        lefts += [left, against_all]
+        lefts += [residual, against_all]
     return named_function("delay_cost", a, {"cost": cost} | named(LEFT, lefts))

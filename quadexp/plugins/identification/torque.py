@@ -240,7 +240,7 @@ def judged(torque: TorqueData, vehicle: Vehicle) -> dict[str, Any]:
         flapping = None if OTHER[axis] is None else float(whole.theta[2])
         row |= {"vehicle_file": float(arms[axis] * inverse[axis]), "damping": whole.damping, "flapping": flapping}
         axes.append(row)
-    held, left = np.zeros((2, 3)), 0
+    held, rows = np.zeros((2, 3)), 0
     for fitted, tested in folds(data):
         regressions = [equation_error(fitted, axis, 0.0)[0] for axis in range(3)]
         for turning in tested:
@@ -248,9 +248,9 @@ def judged(torque: TorqueData, vehicle: Vehicle) -> dict[str, Any]:
                 both = np.column_stack([turning.acceleration[:, axis], predicted(turning, axis, model)])
                 target, guess = band(both, turning.dt, 0.0).T
                 held[:, axis] += np.sum(target**2), np.sum((target - guess) ** 2)
-            left += len(target)
+            rows += len(target)
     for axis, row in enumerate(axes):
-        row["held_rms"], row["model_rms"] = np.sqrt(held[:, axis] / left).tolist()
+        row["held_rms"], row["model_rms"] = np.sqrt(held[:, axis] / rows).tolist()
     rollouts = replayed(data)
     explained = any(row["model_rms"] < BETTER * row["held_rms"] for row in axes[:2])
     report = {"axes": axes, "rollouts": rollouts, "shown": explained and beats_blind(rollouts)}

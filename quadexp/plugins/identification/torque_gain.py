@@ -119,14 +119,14 @@ def own_timing(build: Builder) -> tuple[float, float]:
 
 def gains(variants: Sequence[Sequence[Turning]]) -> list[Gain]:
     """Of each axis. variants: turnings under one timing and curve each, the first that of the thrust."""
-    found = []
+    every_gain = []
     for axis in range(3):
         pairs = [prediction_error(data, axis)[:2] for data in variants]
         value = pairs[0][0]
         pairs += _between(variants[0], axis)
         half = max(abs(gain - value) for gain, _ in pairs) + max(half for _, half in pairs)
-        found.append(Gain(value, value - half, value + half))
-    return found
+        every_gain.append(Gain(value, value - half, value + half))
+    return every_gain
 
 
 def _between(data: Sequence[Turning], axis: int) -> list[tuple[float, float]]:

@@ -133,16 +133,16 @@ def refitted(
     """
     fresh: list[tuple[str, Any]] = []
     curve: ThrustCurve | None = None
-    names, given = list(flights), list(flights.values())
+    names, recorded = list(flights), list(flights.values())
     for label, model in loaded:
         if isinstance(model, VehicleModel):
             known = vehicle if model.vehicle.get("fingerprint") == vehicle.fingerprint else None
-            again = fit_vehicle_model(given, known, _settings(model, len(flights)), names=names)
+            again = fit_vehicle_model(recorded, known, _settings(model, len(flights)), names=names)
             curve = curve or again.thrust
         else:
             if curve is None:
-                curve = fit_vehicle_model(given, None, names=names).thrust
-            again = model.refitted(recorded_dataset(given, vehicle, curve, names=names))
+                curve = fit_vehicle_model(recorded, None, names=names).thrust
+            again = model.refitted(recorded_dataset(recorded, vehicle, curve, names=names))
         fresh.append((label, again))
     return fresh
 

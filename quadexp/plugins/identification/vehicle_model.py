@@ -123,8 +123,8 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
 
         models = {kind: fitted.records() for kind, fitted in self.models.items()}
         lines = model_lines(self)
-        if (found := report()).get("selection"):
-            lines += selection_lines(found["selection"], found.get("best_row", self.best))
+        if (report_lines := report()).get("selection"):
+            lines += selection_lines(report_lines["selection"], report_lines.get("best_row", self.best))
         lines += [f"note        {note}" for note in self.notes]
         return {"thrust": str(self.thrust), "best": self.best, "models": models}, lines
 

@@ -49,9 +49,9 @@ def scales_of_flights(samples: Samples, curve: ThrustCurve) -> np.ndarray:
     thrust = curve.of_signal(samples.signal, samples.voltage).sum(axis=1)
     scales = []
     for index in range(len(samples.names)):
-        own = samples.flight == index
-        force = samples.force[own, 2] + curve.drag_z * samples.velocity[own, 2]
-        scales.append(thrust[own] @ force / (thrust[own] @ thrust[own]))
+        of_flight = samples.flight == index
+        force = samples.force[of_flight, 2] + curve.drag_z * samples.velocity[of_flight, 2]
+        scales.append(thrust[of_flight] @ force / (thrust[of_flight] @ thrust[of_flight]))
     return np.array(scales)
 
 
@@ -73,8 +73,13 @@ def numbers_of(
             if row["name"] == "thrust at full command":
                 row["note"] += f"; {curve.rotors * row['value'] / (mass * gravity):.3g} times the weight in all"
     for axis in "xyz":
-        found = [one for flight in flights for one in flight.get("coefficients", ()) if one["axis"] == axis]
-        values = [one["value"] for one in found if one["term"] == "linear"]
+        coefficients = [
+            coefficient
+            for flight in flights
+            for coefficient in flight.get("coefficients", ())
+            if coefficient["axis"] == axis
+        ]
+        values = [coefficient["value"] for coefficient in coefficients if coefficient["term"] == "linear"]
         rows.append({"name": f"d_{axis}", "unit": "1/s", "each": values})
     terms = zip(curve.powers.tolist(), (mass * curve.coefficients).tolist(), strict=True)
     signal = "command" if curve.signal == "motor_command" else curve.signal
@@ -83,19 +88,19 @@ def numbers_of(
     text = " + ".join(f"{value:.5g} s^{power:g}" if power != 1 else f"{value:.5g} s" for power, value in terms)
     text += f" + {mass * curve.intercept / curve.rotors:.4g}" if curve.intercept else ""
     unit = SIGNALS[curve.signal] if curve.signal != "motor_command" else "0 to 1"
-    given: dict[str, Any] = {"mass": None, "inertia": None}
+    stated: dict[str, Any] = {"mass": None, "inertia": None}
     if vehicle is not None:
-        given = {"mass": vehicle.mass, "inertia": np.diag(vehicle.inertia_matrix).tolist(), "name": vehicle.name}
+        stated = {"mass": vehicle.mass, "inertia": np.diag(vehicle.inertia_matrix).tolist(), "name": vehicle.name}
     if torque is not None and vehicle is not None:
         used = torque.used
         measured = [
-            None if ratio is None else moment / ratio for moment, ratio in zip(given["inertia"], used, strict=True)
+            None if ratio is None else moment / ratio for moment, ratio in zip(stated["inertia"], used, strict=True)
         ]
-        given["inertia_of_torque"] = measured
+        stated["inertia_of_torque"] = measured
     count = len(samples.names)
     return {
         "curve": f"T = {text} {newton} per rotor, s = {signal} ({unit})", "rows": rows, "flights": count,
-        "battery": _battery(curve, samples, mass, gravity, newton), "given": given,
+        "battery": _battery(curve, samples, mass, gravity, newton), "given": stated,
     }  # fmt: skip
 
 
@@ -228,17 +233,19 @@ def _ahead(row: Row) -> str:
     return f"[{span[0]:.4g}, {span[1]:.4g}]" if span else "-"
 
 
-def _given_lines(given: Row) -> list[str]:
+def _given_lines(stated: Row) -> list[str]:
     """Mass and inertia, which no log shows, and what an error of them does."""
-    if given["mass"] is None:
+    if stated["mass"] is None:
         return ["mass        not known, so thrusts are per kg (m/s^2): name the vehicle (--vehicle NAME), or weigh it"]
-    moments = ", ".join(f"{moment:.3g}" for moment in given["inertia"])
-    mass = f"mass        {given['mass']:g} kg, as given by {given['name']}: weigh it ready to fly."
+    moments = ", ".join(f"{moment:.3g}" for moment in stated["inertia"])
+    mass = f"mass        {stated['mass']:g} kg, as given by {stated['name']}: weigh it ready to fly."
     lines = [f"{mass} 10 % too large makes every newton 10 % too large; commands, accelerations, drag (1/s) stay"]
     inertia = f"inertia     {moments} kg m^2, as given."
     lines.append(f"{inertia} 10 % too large makes a controller send 10 % too much torque. To measure: {PENDULUM}")
-    if any(moment is not None for moment in given.get("inertia_of_torque") or ()):
-        found = ", ".join("-" if moment is None else f"{moment:.3g}" for moment in given["inertia_of_torque"])
-        lines.append(f"            from gyro and torque of these flights {found} kg m^2, where mass, arms and torque")
+    if any(moment is not None for moment in stated.get("inertia_of_torque") or ()):
+        by_torque = ", ".join("-" if moment is None else f"{moment:.3g}" for moment in stated["inertia_of_torque"])
+        lines.append(
+            f"            from gyro and torque of these flights {by_torque} kg m^2, where mass, arms and torque"
+        )
         lines.append("            coefficient are right: a log shows torque over inertia, up to that factor")
     return lines

@@ -111,10 +111,10 @@ class Cascade(Law):
         """See Law: integrals and derivatives are zero."""
         return {"velocity": x[VELOCITY], "rate": x[RATE]}
 
-    def equations(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+    def equations(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """See Law; (1) to (3)."""
-        period, g = given.period, vehicle.gravity
-        x, state, path, yaw = given.state, given.reference, given.path, given.heading
+        period, g = inputs.period, vehicle.gravity
+        x, state, path, yaw = inputs.state, inputs.reference, inputs.path, inputs.heading
         R, v, w = rotation_matrix(x[ATTITUDE]), x[VELOCITY], x[RATE]
         change, turn = (v - memory.velocity) / period, (w - memory.rate) / period
         acceleration, of_velocity = filtered(memory.velocity_filter, change, self.velocity_cutoff, period)

@@ -1,7 +1,7 @@
 """Flatness-based control (Sun et al. 2022, (13)-(31)).
 
 p_r .. s_r: position to snap of the reference, psi_r its heading; f_a, tau_a: force and torque of the air by the model
-at the present velocity; d_F, d_tau: believed disturbance; T: collective thrust that the rotors deliver now; z = R e_z.
+at the present velocity; d_F, d_tau: assumed disturbance; T: collective thrust that the rotors deliver now; z = R e_z.
 
     a_d = K_p (p_r - p) + K_v (v_r - v) + a_r,         T_d z_d = m (a_d - g) - f_a - d_F                     (13), (14)
     y_d = z_d x x_C / |.|,  x_d = y_d x z_d,           x_C = [cos psi_r, sin psi_r, 0]                       (15)-(17)
@@ -91,16 +91,16 @@ class FlatnessBased(Law):
         0.07, "thrust, as a share of the weight, below which body rates are fed forward as at this one", "(0, 1]"
     )
 
-    def equations(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+    def equations(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """See Law; (13) to (31); errors of tilt and yaw (rad)."""
         x, path, yaw, delivered, belief, air = symbols(
             ca.SX, x=N_STATE, path=(3, 5), yaw=3, delivered=vehicle.n_rotors, belief=N_BELIEF, air=N_OUTPUTS
         )
         wrench, angle = _wrench(vehicle, self, x, path, yaw, delivered, belief, air)
         wanted = ca.Function("dfbc_wrench", [x, path, yaw, delivered, belief, air], ca.cse([wrench, angle]))
-        of_belief = given.symbol("belief")
-        wrench, angle = wanted(given.state, given.path, given.heading, given.delivered, of_belief, given.air)
-        thrust = allocation(vehicle, self.allocation, self.wrench_weight)(wrench / given.belief.thrust_scale)
+        of_belief = inputs.symbol("belief")
+        wrench, angle = wanted(inputs.state, inputs.path, inputs.heading, inputs.delivered, of_belief, inputs.air)
+        thrust = allocation(vehicle, self.allocation, self.wrench_weight)(wrench / inputs.belief.thrust_scale)
         margin = AT_LIMIT * (vehicle.thrust_max - vehicle.thrust_min)
         low, high = vehicle.thrust_min + margin, vehicle.thrust_max - margin
         held = ca.sum1(ca.logic_or(thrust < low, thrust > high))

@@ -1,7 +1,7 @@
 """Geometric tracking control on SE(3) (Lee, Leok, McClamroch 2010), with a model of the air and an adaptive variant.
 
 e_p = p - p_r, e_v = v - v_r; R_r, w_r, u_r: attitude, body rate and thrusts of the reference, exact by flatness, with
-the air where the controller knows it; F_m, tau_m: force and torque of the air by the model, d_F, d_tau: believed
+the air where the controller knows it; F_m, tau_m: force and torque of the air by the model, d_F, d_tau: assumed
 disturbance.
 
     F   = m (a_r - g - K_x e_p - K_v e_v) - F_m - d_F - m theta_F,     T = F . R e_z                                (1)
@@ -91,11 +91,11 @@ class Geometric(Law):
         50.0, "largest angular acceleration that is adapted", "[0, 1e4]", "rad/s^2", when="torque_adaptation"
     )
 
-    def equations(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+    def equations(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """See Law; (1) to (3)."""
         m, J = vehicle.mass, ca.DM(vehicle.inertia_matrix)
-        x, state, thrust, path, belief = given.state, given.reference, given.thrusts, given.path, given.belief
-        air, air_r = given.air, given.air_reference
+        x, state, thrust, path, belief = inputs.state, inputs.reference, inputs.thrusts, inputs.path, inputs.belief
+        air, air_r = inputs.air, inputs.air_reference
         gravity, G = ca.DM([0, 0, -vehicle.gravity]), ca.DM(vehicle.allocation)
         K_x, K_v, K_R, K_w = gains(self)
 
@@ -129,14 +129,14 @@ class Geometric(Law):
         spin = -ca.cross(w, turn @ w_d) + turn @ w_d_dot
         torque = J @ (spin - K_R * e_R - K_w * e_w - memory.theta_torque) + ca.cross(w, J @ w)
         torque -= air[3:] + belief.torque
-        wrench = ca.vertcat(m * ca.dot(force, R[:, 2]), torque) + G @ (given.thrusts_middle - thrust)
+        wrench = ca.vertcat(m * ca.dot(force, R[:, 2]), torque) + G @ (inputs.thrusts_middle - thrust)
         wrench /= belief.thrust_scale
         u = prioritised(vehicle, wrench) if self.priority == "tilt" else clipped(vehicle, wrench)
 
         force_rate = self.force_adaptation * (e_v + self.position_share * e_p)
         torque_rate = self.torque_adaptation * (e_w + self.attitude_share * e_R)
-        theta_force = _in_ball(memory.theta_force + given.period * force_rate, self.force_limit)
-        theta_torque = _in_ball(memory.theta_torque + given.period * torque_rate, self.torque_limit)
+        theta_force = _in_ball(memory.theta_force + inputs.period * force_rate, self.force_limit)
+        theta_torque = _in_ball(memory.theta_torque + inputs.period * torque_rate, self.torque_limit)
         psi = attitude_distance(R, R_d)
         return {"command": u, "theta_force": theta_force, "theta_torque": theta_torque, "psi": psi}
 

@@ -100,15 +100,15 @@ _PATTERNS: list[tuple[str, re.Pattern[str]]] = [
 
 def unit_of(name: str) -> tuple[str, str | None]:
     """The name without its unit, and the unit in our writing, if it has one."""
-    found = _UNIT.search(name)
-    if found and found[1].strip().lower() in _UNITS and not found[1].strip().isdigit():
-        return name[: found.start()].strip(), _UNITS[found[1].strip().lower()]
-    if found and found.start() > 0 and not found[1].strip() and name[found.start()] == "[":
-        return name[: found.start()].strip(), "1"
+    match = _UNIT.search(name)
+    if match and match[1].strip().lower() in _UNITS and not match[1].strip().isdigit():
+        return name[: match.start()].strip(), _UNITS[match[1].strip().lower()]
+    if match and match.start() > 0 and not match[1].strip() and name[match.start()] == "[":
+        return name[: match.start()].strip(), "1"
     lower = name.lower()
-    found = _SUFFIX.search(lower)
-    if found and len(lower[: found.start()]) > 1:
-        return name[: found.start()], _SUFFIXES[found[1]]
+    match = _SUFFIX.search(lower)
+    if match and len(lower[: match.start()]) > 1:
+        return name[: match.start()], _SUFFIXES[match[1]]
     return name, None
 
 
@@ -119,11 +119,11 @@ def hint(name: str) -> Hint | None:
         if NOT_MEASURED.search(text):
             return None
         for rank, (quantity, pattern) in enumerate(_PATTERNS):
-            found = pattern.fullmatch(text)
-            if found is None:
+            match = pattern.fullmatch(text)
+            if match is None:
                 continue
-            axis = found[1] if pattern.groups else ""
-            group = text[: found.start(1)] + "#" + text[found.end(1) :] if pattern.groups and axis else text
+            axis = match[1] if pattern.groups else ""
+            group = text[: match.start(1)] + "#" + text[match.end(1) :] if pattern.groups and axis else text
             if quantity == "euler" or axis[:3] in ("rol", "pit", "yaw", "hea"):
                 group = "angles" if text in _AXES else text.replace(axis, "#")
                 axis = next(a for word, a in _AXES.items() if axis.startswith(word[:3]))
@@ -157,5 +157,5 @@ def groups(names: Sequence[str]) -> dict[str, list[list[int]]]:
 
 
 def numbered_quaternion(names: Sequence[str], columns: Sequence[int]) -> bool:
-    """Whether the four columns are told apart by numbers, which say nothing of where w is."""
+    """Whether the four columns are distinguished by numbers, which say nothing of where w is."""
     return any((said := hint(names[i])) is not None and said.axis.isdigit() for i in columns)

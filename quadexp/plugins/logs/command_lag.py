@@ -12,8 +12,8 @@ least squares at each (d, tau). The cost is n/2 log of the residual's square, n 
 band. A dead time or a lag alone is taken where both are not SIMPLER more likely, and of dead times that are alike, as
 those of a held command are over a period where nothing lags, the shortest. Interval:
 blocks of BLOCK seconds drawn with replacement, all that is as likely as NEAR, and RESOLUTION at each end: of a sampled
-log no finer time is told. A log does not say whether a signal was held between its samples: where a loop is faster than
-its log, all is T/2 later than found, which the upper ends of the dead time and of the sum contain.
+log no finer time is given. A log does not say whether a signal was held between its samples: where a loop is faster
+than its log, all is T/2 later than found, which the upper ends of the dead time and of the sum contain.
 """
 
 from __future__ import annotations
@@ -118,9 +118,9 @@ def find_lag(
         period = period_of(time[rows])
         if period > 1 / (2.5 * HIGH):
             continue
-        made = _sums(signal[rows], beside[rows], period, bool(held[rows][0]))
-        sums.append(made[0])
-        counts.append(made[1] * min(1.0, 2 * HIGH * period))
+        of_rows = _sums(signal[rows], beside[rows], period, bool(held[rows][0]))
+        sums.append(of_rows[0])
+        counts.append(of_rows[1] * min(1.0, 2 * HIGH * period))
         periods.append(period)
         seconds += float(time[rows][-1] - time[rows][0])
         if seconds > MOST_SECONDS:
@@ -192,8 +192,8 @@ def _cost(blocks: np.ndarray, count: np.ndarray, weight: np.ndarray) -> np.ndarr
     size = np.maximum(np.einsum("...ii->...i", normal), 1e-300) ** -0.5
     scaled = normal * size[..., None] * size[..., None, :] + 1e-9 * np.eye(normal.shape[-1])
     along = mixed * size
-    left = power - np.einsum("...i,...i->...", along, np.linalg.solve(scaled, along[..., None])[..., 0])
-    cost = float(weight @ count) / 2 * np.log(np.maximum(left, 1e-12 * power))
+    unexplained = power - np.einsum("...i,...i->...", along, np.linalg.solve(scaled, along[..., None])[..., 0])
+    cost = float(weight @ count) / 2 * np.log(np.maximum(unexplained, 1e-12 * power))
     return Akima1DInterpolator(LAGS, cost, axis=1, method="makima")(FINE_LAGS)
 
 

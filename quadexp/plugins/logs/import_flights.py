@@ -15,7 +15,7 @@ from quadexp.parts.options import Folders
 from quadexp.plugin import brought
 from quadexp.plugins.logs.finding import Finding
 from quadexp.plugins.logs.importers import Options, checked, import_log
-from quadexp.progress import doing
+from quadexp.progress import set_status
 from quadexp.writer import check_output
 
 
@@ -66,7 +66,7 @@ def import_files(
     mapping = checked(options)
     seen: dict[str, str] = {}
     for place, (log, path) in enumerate(paths.items(), 1):
-        doing(f"{log}, {place} of {len(paths)}")
+        set_status(f"{log}, {place} of {len(paths)}")
         try:
             flight, notes = import_log(log, named, options, mapping)
         except QuadexpError as error:

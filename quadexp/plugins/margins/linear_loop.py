@@ -125,10 +125,10 @@ def _lumped(phases: list[Phase], kinds: np.ndarray) -> tuple[list[Phase], np.nda
     classes, first = np.zeros(m, int), np.arange(min(m, 1))
     while len(first) > count:
         count = len(first)
-        told = kinds @ of_kind + of_class[classes]
+        signature = kinds @ of_kind + of_class[classes]
         for (A, B, _), number, command in zip(phases, of_number, of_command, strict=True):
-            told = told + A @ number[classes] + B @ command
-        _, first, classes = np.unique(np.round(told, DIGITS), return_index=True, return_inverse=True)
+            signature = signature + A @ number[classes] + B @ command
+        _, first, classes = np.unique(np.round(signature, DIGITS), return_index=True, return_inverse=True)
     together = np.eye(len(first))[classes]
     return [Phase(A[first] @ together, B[first], C @ together) for A, B, C in phases], first
 

@@ -1,7 +1,7 @@
 """The linear loop of a controller and its plant, as they fly, with everything that is in the loop.
 
 z: the body's state in its tangent space (rotation vector about body axes), the plant's inner states, the readings, and
-what the operations of the controller remember: the numbers that they read before they write them. Derivatives are
+what the calls of the controller remember: the numbers that they read before they write them. Derivatives are
 central differences of the functions that fly: of motors that lag more down than up the mean of both.
 
 Before that, the vehicle flies along the reference without noise, so that its error, filters and covariances settle; one
@@ -20,7 +20,7 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Measurement, Window
-from quadexp.control.instant import Instant, Operation, in_operations, run
+from quadexp.control.control_step import Call, ControlStep, in_calls, run
 from quadexp.control.wrapped import innermost
 from quadexp.errors import ModelDomainError, QuadexpError
 from quadexp.physics.rotation import left_matrix
@@ -60,8 +60,8 @@ def linear_loop(
     """
     if not isinstance(plant, SimulatedPlant) or type(plant).advance is not SimulatedPlant.advance:
         raise UnknownLoopError(f"{type(plant).__name__} keeps its inner states to itself")
-    if not (in_operations(controller) and in_operations(inner := innermost(controller))):
-        raise UnknownLoopError(f"{type(inner if in_operations(controller) else controller).__name__} steps in Python")
+    if not (in_calls(controller) and in_calls(inner := innermost(controller))):
+        raise UnknownLoopError(f"{type(inner if in_calls(controller) else controller).__name__} steps in Python")
     for carried in (False, True):
         try:
             flown = _Flown(controller, plant, window, state, settling, carried=carried)
@@ -101,9 +101,9 @@ class _Flown:
         self._noise = plant.begin(self._x, self._period, 1.0, Silence())
         self._drawn = _drawn(plant, self._period)
         self._timed = np.concatenate([np.zeros(0, bool), *map(_times, self._drawn)])  # when something is, no noise
-        told = plant.measured.copy() if self._estimates else self._x
-        controller.reset(told, window(0))
-        self._told = Measurement(0.0, told, None, None)
+        measured = plant.measured.copy() if self._estimates else self._x
+        controller.reset(measured, window(0))
+        self._told = Measurement(0.0, measured, None, None)
         least, most = (max(math.ceil(time / self._period), 2) for time in settling)
         self.settled = False
         for i in range(1, most + 1):
@@ -123,32 +123,30 @@ class _Flown:
     def phases(self) -> tuple[list[Phase], int, int]:
         """Of the next instants, until the loop is the same again; and where the memory and the readings begin."""
         running = self._controller.running
-        operations = [o for o in running.instant.operations if o.kind not in ("finite", "near")]  # which are C's
-        rare = [o.kind == "python" and (o.when is running.told.read or o.every > 1) for o in operations]
-        operations = [
-            o for o, seldom in zip(operations, rare, strict=True) if not seldom
-        ]  # nothing is learned meanwhile
-        operations = _on_the_way(operations, running.instant)
-        sensors = [one.tick for one in self._drawn if not isinstance(one, Held) and one.tick > TICK]
+        calls = [o for o in running.control_step.calls if o.kind not in ("finite", "near")]  # which are C's
+        rare = [o.kind == "python" and (o.when is running.inputs.accelerometer_valid or o.every > 1) for o in calls]
+        calls = [o for o, seldom in zip(calls, rare, strict=True) if not seldom]  # nothing is learned meanwhile
+        calls = _on_the_way(calls, running.control_step)
+        sensors = [part.tick for part in self._drawn if not isinstance(part, Held) and part.tick > TICK]
         ratios = [Fraction(self._period / tick).limit_denominator(MOST_PHASES) for tick in sensors]
         read = math.lcm(*(ratio.denominator for ratio in ratios))
-        count = math.lcm(read, *(o.every for o in operations))
+        count = math.lcm(read, *(o.every for o in calls))
         if count > MOST_PHASES:
             raise UnknownLoopError(f"its rates are the same again only after {count} instants")
         if read * len(self._plant.inner) > MOST_NUMBERS:
             numbers, over = len(self._plant.inner), f" at each of {read} instants that differ" if read > 1 else ""
             raise UnknownLoopError(f"the world has {numbers} inner states{over}; at most {MOST_NUMBERS} are linearised")
-        memory, known, phases = _Remembered(running.instant, operations), dict[Any, Phase](), []
+        memory, known, phases = _Remembered(running.control_step, calls), dict[Any, Phase](), []
         if (numbers := len(memory.values) + len(self._plant.inner)) > MOST_NUMBERS:
             raise UnknownLoopError(f"it has {numbers} inner states; at most {MOST_NUMBERS} are linearised")
         for _ in range(count):
-            k, begun, guess = running.k, memory.values, [one.now.copy() for one in memory.planned]
+            k, begun, guess = running.k, memory.values, [part.now.copy() for part in memory.planned]
             u = self._step()
             ended = memory.values
             self._enter(u)
-            key = (k % read, *(k % o.every == 0 for o in operations))
+            key = (k % read, *(k % o.every == 0 for o in calls))
             if key not in known:
-                known[key] = self._phase(operations, memory, k, begun, guess)
+                known[key] = self._phase(calls, memory, k, begun, guess)
                 memory.values = ended
             phases.append(known[key])
             self._go_on()
@@ -164,8 +162,8 @@ class _Flown:
     def _enter(self, u: np.ndarray) -> None:
         """Tell the plant's function all of the next period, without noise."""
         self._function = self._plant.prepared(self._period)
-        given = self._function.arguments
-        given["x"][:], given["inner"][:], given["u"][:] = self._x, self._plant.inner, u
+        arguments = self._function.arguments
+        arguments["x"][:], arguments["inner"][:], arguments["u"][:] = self._x, self._plant.inner, u
         noise = self._plant.noise(self._function).reshape(-1)
         self._noise.standard_normal(out=noise)
         noise[~self._timed] = 0.0
@@ -178,37 +176,37 @@ class _Flown:
         plant.time += self._period
         self._k += 1
         self._x = self._state(self._k) if self._carried else results["x_next"].copy()
-        told = results["measured"].copy() if self._estimates else self._x
+        measured = results["measured"].copy() if self._estimates else self._x
         speed = getattr(plant, "rotor_speed", None)
-        self._told = Measurement(plant.time, told, results["specific_force"].copy(), speed)
+        self._told = Measurement(plant.time, measured, results["specific_force"].copy(), speed)
 
     def _phase(
-        self, operations: list[Operation], memory: _Remembered, k: int, begun: np.ndarray, guess: list[np.ndarray]
+        self, calls: list[Call], memory: _Remembered, k: int, begun: np.ndarray, guess: list[np.ndarray]
     ) -> Phase:
         """Of the instant k, before which the memory was `begun` and the MPC's last solution `guess`, and of the period
         that `_enter` prepared."""
-        running, given, results = self._controller.running, self._function.arguments, self._function.results
-        told, window, command = running.told, running.told.window, running.instant.command
+        running, inputs_of_plant, results = self._controller.running, self._function.arguments, self._function.results
+        inputs, window, command = running.inputs, running.inputs.window, running.control_step.command
         turning = np.array(getattr(self._plant, "rotor_places", []), int)
-        sensors = [told.force, told.speed] if len(turning) else [told.force]
-        readings = [one for one in sensors if memory.reads(one)]
-        read, m = [told.state, *readings], len(begun)
+        sensors = [inputs.specific_force, inputs.rotor_speed] if len(turning) else [inputs.specific_force]
+        readings = [reading for reading in sensors if memory.reads(reading)]
+        read, m = [inputs.state, *readings], len(begun)
 
         def instant(values: np.ndarray) -> np.ndarray:
-            """What is told and remembered -> what is sent and remembered."""
+            """What is given and remembered -> what is sent and remembered."""
             _scatter(read, values[: len(values) - m])
             memory.values = values[len(values) - m :]
-            for one, value in zip(memory.planned, guess, strict=True):
-                one.restore(value)
-            run(operations, k, window)
+            for planned, value in zip(memory.planned, guess, strict=True):
+                planned.restore(value)
+            run(calls, k, window)
             return np.concatenate([command, memory.values])
 
         point = np.concatenate([*read, begun])
         first = instant(point)
         by_told = _derivative(instant, point, _lift(point, 0))
         if not np.allclose(instant(point), first, rtol=REPEATS, atol=REPEATS):
-            raise UnknownLoopError("its operations in Python remember what they were told")
-        arguments = [given[name] for name in ("x", "inner", "u")]
+            raise UnknownLoopError("its calls in Python remember what they were given")
+        arguments = [inputs_of_plant[name] for name in ("x", "inner", "u")]
         after = [
             results[name] for name in ("x_next", "inner_next", "specific_force", "measured")[: 3 + self._estimates]
         ]
@@ -228,10 +226,10 @@ class _Flown:
         fly(point)
         by_plant = (onto / (onto**2).sum(axis=0)).T @ by_plant
 
-        inner, n = N_TANGENT + len(given["inner"]), len(command)
+        inner, n = N_TANGENT + len(inputs_of_plant["inner"]), len(command)
         places = [np.arange(N_TANGENT) + (inner + 3) * self._estimates]
-        for one in readings:
-            places.append(inner + np.arange(3) if one is told.force else N_TANGENT + turning)
+        for reading in readings:
+            places.append(inner + np.arange(3) if reading is inputs.specific_force else N_TANGENT + turning)
         body, places = len(by_plant), [*places, len(by_plant) + np.arange(m)]
         by_all = np.zeros((n + m, body + m))
         by_all[:, np.concatenate(places)] = by_told
@@ -240,65 +238,67 @@ class _Flown:
         return Phase(A, B, by_all[:n])
 
 
-def _touched(o: Operation, targets: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """What an operation reads and writes; one in Python may read all targets. Nothing of the MPC's step."""
+def _touched(o: Call, targets: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """What an call reads and writes; one in Python may read all targets. Nothing of the MPC's step."""
     if o.function is not None:
         return [*o.function.arguments.values()], [*o.function.results.values()]
     if o.kind in ("plan", "python"):
         return (targets if o.kind == "python" else []), []
     if o.kind == "commit":  # of a memory that is worked on in place what is read is its source
-        return [one for one in (o.source,) if one is not None], [one for one in (o.to, o.source) if one is not None]
+        return [array for array in (o.source,) if array is not None], [
+            array for array in (o.to, o.source) if array is not None
+        ]
     sources, to = ([], [o.to, o.other]) if o.kind == "window" else ([o.source, o.other], [o.to])
-    return [one for one in sources if one is not None], [one for one in to if one is not None]
+    return [array for array in sources if array is not None], [array for array in to if array is not None]
 
 
-def _targets(operations: list[Operation]) -> list[np.ndarray]:
-    return [o.to for o in operations if o.to is not None]
+def _targets(calls: list[Call]) -> list[np.ndarray]:
+    return [o.to for o in calls if o.to is not None]
 
 
-def _on_the_way(operations: list[Operation], instant: Instant) -> list[Operation]:
-    """The operations from which a number gets to the command, at this instant or later; not what only watches."""
-    targets, needed, kept, more = _targets(operations), _places([instant.command]), set[int](), True
+def _on_the_way(calls: list[Call], instant: ControlStep) -> list[Call]:
+    """The calls from which a number gets to the command, at this instant or later; not what only watches."""
+    targets, needed, kept, more = _targets(calls), _places([instant.command]), set[int](), True
     while more:
         more = False
-        for i, o in enumerate(operations):
+        for i, o in enumerate(calls):
             reads, writes = _touched(o, targets)
             if i not in kept and (o.kind in ("plan", "python") or _places(writes) & needed):
                 planned = instant.plan.mpc.step.arguments.values() if o.kind == "plan" else []
                 needed |= _places([*reads, *planned, *([] if o.when is None else [o.when])])
                 kept.add(i)
                 more = True
-    return [o for i, o in enumerate(operations) if i in kept]
+    return [o for i, o in enumerate(calls) if i in kept]
 
 
 class _Remembered:
     """What is remembered from instant to instant, by what gets to the command. values: all of it, (m,). planned: the
     MPC's solution."""
 
-    def __init__(self, instant: Instant, operations: list[Operation]) -> None:
-        used = _places(array for o in operations for array in _touched(o, [])[0])
+    def __init__(self, instant: ControlStep, calls: list[Call]) -> None:
+        used = _places(array for o in calls for array in _touched(o, [])[0])
         self._read, plan = used, instant.plan
         self.planned = [] if plan is None else [plan.mpc.memory]
         self._kept = [
-            one
-            for one in instant.memory
-            if one not in self.planned and _places([one.now, *one.of_next.values()]) & used
+            part
+            for part in instant.memory
+            if part not in self.planned and _places([part.now, *part.of_next.values()]) & used
         ]
 
     def reads(self, array: np.ndarray) -> bool:
-        """Whether an operation reads the array."""
+        """Whether an call reads the array."""
         return bool(_places([array]) & self._read)
 
     @property
     def values(self) -> np.ndarray:
-        return np.concatenate([np.zeros(0), *(one.now for one in self._kept)])
+        return np.concatenate([np.zeros(0), *(part.now for part in self._kept)])
 
     @values.setter
     def values(self, values: np.ndarray) -> None:
         first = 0
-        for one in self._kept:
-            one.restore(values[first : first + one.now.size])
-            first += one.now.size
+        for part in self._kept:
+            part.restore(values[first : first + part.now.size])
+            first += part.now.size
 
 
 def _places(arrays: Iterable[np.ndarray]) -> set[int]:
@@ -361,7 +361,7 @@ def _drawn(plant: SimulatedPlant, period: float) -> list[Drawn]:
     parts = [drawn for _, drawn in plant.own_noise(np.random.default_rng(0), period)]
     if isinstance(plant, World):
         clock = plant.clock(period)
-        parts += [one for effect in plant.effects for one in effect.sizes(clock, plant.vehicle).drawn]
+        parts += [drawing for effect in plant.effects for drawing in effect.sizes(clock, plant.vehicle).drawn]
     return parts
 
 

@@ -122,12 +122,12 @@ def margins(loop: LinearLoop) -> dict[str, Any]:
 def _crossings(score: Any, frequencies: np.ndarray, eigenvalues: np.ndarray) -> list[tuple[complex, float]]:
     """Eigenvalues of the gain, (k, n), and frequencies (rad/s), about where their score is 1."""
     eigenvalues = np.take_along_axis(eigenvalues, np.argsort(score(eigenvalues), axis=1), 1)
-    beyond, found = score(eigenvalues) - 1, list[tuple[complex, float]]()
+    beyond, crossings = score(eigenvalues) - 1, list[tuple[complex, float]]()
     for k, i in np.argwhere(beyond[1:] * beyond[:-1] < 0):
         share = beyond[k, i] / (beyond[k, i] - beyond[k + 1, i])
         between = eigenvalues[k, i] + share * (eigenvalues[k + 1, i] - eigenvalues[k, i])
-        found.append((between, frequencies[k] * (frequencies[k + 1] / frequencies[k]) ** share))
-    return found
+        crossings.append((between, frequencies[k] * (frequencies[k + 1] / frequencies[k]) ** share))
+    return crossings
 
 
 def _first(unstable: Callable[[float], bool], about: Iterable[float]) -> float:

@@ -283,9 +283,9 @@ def _backward(gradient: Expression, slope: Expression, w: Expression) -> Express
 def _compiled_layer(w: Expression, b: Expression, x: Expression) -> tuple[Expression, Expression]:
     """As _layer, by neural_layer.c."""
     (rows, columns), dense = w.shape, ca.Sparsity.dense
-    given = {"weight": dense(rows, columns), "bias": dense(rows), "x": dense(columns)}
+    arguments = {"weight": dense(rows, columns), "bias": dense(rows), "x": dense(columns)}
     sizes, results = {"ROWS": rows, "COLUMNS": columns}, {"value": dense(rows), "slope": dense(rows)}
-    value, slope = handwritten(f"neural_layer_{rows}_{columns}", LAYER, sizes, given, results)(w, b, x)
+    value, slope = handwritten(f"neural_layer_{rows}_{columns}", LAYER, sizes, arguments, results)(w, b, x)
     return value, slope
 
 
@@ -293,9 +293,9 @@ def _compiled_backward(gradient: Expression, slope: Expression, w: Expression) -
     """As _backward, by neural_backward.c; the gradient is stored with its outputs along the columns."""
     (rows, columns), outputs, dense = w.shape, gradient.size1(), ca.Sparsity.dense
     sizes = {"OUTPUTS": outputs, "ROWS": rows, "COLUMNS": columns}
-    given = {"gradient": dense(outputs, rows), "slope": dense(rows), "weight": dense(rows, columns)}
+    arguments = {"gradient": dense(outputs, rows), "slope": dense(rows), "weight": dense(rows, columns)}
     name, results = "_".join(map(str, ["neural_backward", *sizes.values()])), {"product": dense(outputs, columns)}
-    return handwritten(name, BACKWARD, sizes, given, results)(gradient, slope, w)
+    return handwritten(name, BACKWARD, sizes, arguments, results)(gradient, slope, w)
 
 
 def _train(
@@ -309,7 +309,7 @@ def _train(
     shapes = [(rows, columns) for columns, rows in pairwise([x.shape[1], *settings.hidden, y.shape[1]])]
     start = [rng.normal(size=shape) / math.sqrt(shape[1]) for shape in shapes]
     start += [rng.normal(size=rows) for rows, _ in shapes[:-1]] + [np.zeros(y.shape[1])]
-    given, target = (torch.as_tensor(values, dtype=torch.float64) for values in (x, y))
+    inputs, target = (torch.as_tensor(values, dtype=torch.float64) for values in (x, y))
     largest = None if settings.spectral is None else settings.spectral ** (1 / len(shapes))
     ends = np.cumsum([part.size for part in start])
 
@@ -323,7 +323,7 @@ def _train(
     def loss(values: np.ndarray) -> tuple[float, np.ndarray]:
         flat = torch.tensor(values, dtype=torch.float64, requires_grad=True)
         weights, biases = parts(flat)
-        error = (_forward(given, weights, biases) - target).square().mean()
+        error = (_forward(inputs, weights, biases) - target).square().mean()
         value = error + settings.penalty * torch.stack([w.square().mean() for w in weights]).sum()
         value.backward()
         return value.item(), flat.grad.numpy()

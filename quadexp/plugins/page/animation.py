@@ -179,9 +179,9 @@ class _Picture:
         longest = max(flights, key=lambda flight: len(flight["t"]))
         figure = Figure(figsize=SIZE, dpi=DPI)
         halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1))
-        left, right = halves
-        path, course = left.subplots(2, 1, height_ratios=(2.2, 1))
-        near = right.subplots()
+        left_half, right_half = halves
+        path, course = left_half.subplots(2, 1, height_ratios=(2.2, 1))
+        near = right_half.subplots()
         path.plot(longest["ref_p_x"], longest["ref_p_y"], color="#AAAAAA", linewidth=0.8)
         path.set_aspect("equal", "datalim")
         path.set(xlabel="x (m)", ylabel="y (m)")
@@ -209,7 +209,7 @@ class _Picture:
         course.set(xlim=(0, longest["t"][-1]), yscale="log", ylim=(1e3 * low, 1e3 * high))
         course.set(xlabel="time (s)", ylabel="error (mm)")
         plain_log(course.yaxis)
-        right.legend(*course.get_legend_handles_labels(), loc="outside lower center", fontsize=8)
+        right_half.legend(*course.get_legend_handles_labels(), loc="outside lower center", fontsize=8)
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # one layout for all frames
         self._moving = [self._clock, *(artist for flown in self._flown for artist in flown.moving)]

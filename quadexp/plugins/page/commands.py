@@ -79,12 +79,12 @@ def plot(
     return Answer(record, numbers, [path], said, remarks=[f"warning: {line}" for line in checked.lines()])
 
 
-def _colours(given: Sequence[str]) -> dict[str, str]:
+def _colours(words: Sequence[str]) -> dict[str, str]:
     """NAME=COLOR texts as name -> "#rrggbb"."""
     from matplotlib.colors import is_color_like, to_hex
 
     colours = {}
-    for text in given:
+    for text in words:
         name, _, colour = text.rpartition("=")
         if not name or not is_color_like(colour):
             raise UsageError(f"--color {text}: give NAME=COLOR, a colour by name or as #rrggbb")
@@ -92,9 +92,9 @@ def _colours(given: Sequence[str]) -> dict[str, str]:
     return colours
 
 
-def _keys(given: Sequence[str]) -> list[str] | None:
+def _keys(words: Sequence[str]) -> list[str] | None:
     """Keys of an option that is repeatable, also with commas between; None where there are none."""
-    return [key.strip() for text in given for key in text.split(",") if key.strip()] or None
+    return [key.strip() for text in words for key in text.split(",") if key.strip()] or None
 
 
 @command

@@ -340,10 +340,10 @@ def _contestants(
         pairs = {key: pair for key, pair in cells.items() if key[1] == contestant}
         sides = [(at, side, row) for (at, *_), pair in pairs.items() for side, row in zip("ab", pair, strict=True)]
         rows = [dict(row, controller=side, model="", variant=at.setting) for at, side, row in sides]
-        found = overall(rows, metric=metric, baseline="a", confidence=confidence)
-        if not found:  # its settings contradict each other
+        comparison = overall(rows, metric=metric, baseline="a", confidence=confidence)
+        if not comparison:  # its settings contradict each other
             continue
-        pooled += found
+        pooled += comparison
         completed = [p for p in pairs.values() if all(is_flown(row) and math.isfinite(row[metric]) for row in p)]
         means = (_mean([pair[i] for pair in completed], metric) for i in (0, 1))
         flown = {side: [sum(is_flown(pair[i]) for pair in pairs.values()), len(pairs)] for i, side in enumerate("ab")}

@@ -176,8 +176,8 @@ def looks_of(view: View) -> dict[Place, Look]:
     by_line = {}
     for line, label in labels.items():
         texts = [value_text(key, value) for key, value in zip(view.by, line, strict=True)] or [label]
-        own = next((view.colours[text] for text in texts if text in view.colours), "")
-        by_line[line] = replace(look[label], own=own)
+        colour = next((view.colours[text] for text in texts if text in view.colours), "")
+        by_line[line] = replace(look[label], own=colour)
     return by_line
 
 

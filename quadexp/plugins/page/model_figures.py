@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from quadexp.models.base import AXIS, Prediction
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.residual import THRUST, VELOCITY
-from quadexp.plugins.gaussian_process.gaussian_process import GPModel, OutputPosterior
+from quadexp.plugins.gaussian_process.gaussian_process import GaussianProcessModel, OutputPosterior
 from quadexp.report.style import BLUE, COUNTS, ORANGE, Figure, entries, mathematics, styled
 
 CURVE_POINTS = 300  # one a pixel of a panel
@@ -42,7 +42,9 @@ class Curve(NamedTuple):
     middle: np.ndarray
 
 
-def curve(model: GPModel, output: OutputPosterior, i: int, data: ResidualDataset, count: int = CURVE_POINTS) -> Curve:
+def curve(
+    model: GaussianProcessModel, output: OutputPosterior, i: int, data: ResidualDataset, count: int = CURVE_POINTS
+) -> Curve:
     """The model over feature i within its data, all else at the medians of `data`."""
     points = data.matrix(output.features)
     middle = np.median(points, axis=0)
@@ -55,7 +57,9 @@ def curve(model: GPModel, output: OutputPosterior, i: int, data: ResidualDataset
     return Curve(features[:, i], prediction.mean, prediction.std, line, middle)
 
 
-def moved(model: GPModel, output: OutputPosterior, i: int, data: ResidualDataset) -> tuple[np.ndarray, np.ndarray]:
+def moved(
+    model: GaussianProcessModel, output: OutputPosterior, i: int, data: ResidualDataset
+) -> tuple[np.ndarray, np.ndarray]:
     """The output's values in `data`, (n,), moved by the model's difference between their rows and the same feature i
     with all else at its median; and values minus mean."""
     features = data.matrix(output.features)
@@ -65,7 +69,7 @@ def moved(model: GPModel, output: OutputPosterior, i: int, data: ResidualDataset
     return _predict(model, output, _rows(output, held, data)).mean + remainder, remainder
 
 
-def _predict(model: GPModel, output: OutputPosterior, rows: ResidualDataset) -> Prediction:
+def _predict(model: GaussianProcessModel, output: OutputPosterior, rows: ResidualDataset) -> Prediction:
     """Prediction of one output, prior mean included."""
     return replace(model, outputs=(output,)).predict(rows)[output.output]
 
@@ -108,7 +112,7 @@ def density(panel: Any, x: np.ndarray, y: np.ndarray, extent: Sequence[float], c
 
 
 @styled
-def fit_figure(model: GPModel, data: ResidualDataset) -> Figure:
+def fit_figure(model: GaussianProcessModel, data: ResidualDataset) -> Figure:
     """Mean of each output over each of its features with the data, and below it the data minus mean, with 2 sigma.
 
     data: samples to show, best held-out ones. With several features, a panel moves one of them and holds
@@ -129,7 +133,9 @@ def fit_figure(model: GPModel, data: ResidualDataset) -> Figure:
     return figure
 
 
-def _draw_fit(upper: Any, lower: Any, model: GPModel, output: OutputPosterior, i: int, data: ResidualDataset) -> None:
+def _draw_fit(
+    upper: Any, lower: Any, model: GaussianProcessModel, output: OutputPosterior, i: int, data: ResidualDataset
+) -> None:
     """Mean and data over feature i; and the data minus mean, the 2-sigma band, the inducing points."""
     features = data.matrix(output.features)
     x, mean, std, line, median = curve(model, output, i, data)

@@ -52,10 +52,12 @@ def paper_table(
     down, across = _chosen(frame, rows, columns)
     others = [key for key in frame.swept if key not in ("seed", *down, *across)]
     keys, confidence = [*down, *across], float(frame.record.get("confidence", 0.95))
-    found = points(frame, keys, metric, others=others, confidence=confidence)
+    points_of = points(frame, keys, metric, others=others, confidence=confidence)
     single = {} if metric == SUCCESS else _statistics(frame, keys, metric)
     factor, unit = shown(metric)
-    cells = {place: cell_text(factor, point, single.get(place), intervals, digits) for place, point in found.items()}
+    cells = {
+        place: cell_text(factor, point, single.get(place), intervals, digits) for place, point in points_of.items()
+    }
     n = len(down)
     lines, heads = distinct(place[:n] for place in cells), distinct(place[n:] for place in cells)
     title = "share of completed flights" if metric == SUCCESS else metric_of(metric).title + f" ({unit})" * bool(unit)
@@ -67,9 +69,11 @@ def paper_table(
         labels = [value_text(key, value) for key, value in zip(down, line, strict=True)]
         body.append([*labels, *(cells.get(line + head, "-") for head in heads)])
     head = [", ".join(_text(key, value) for key, value in zip(across, head, strict=True)) for head in heads]
-    left = frozenset(i for i, key in enumerate(down) if not all(isinstance(v, (int, float)) for v in frame.values(key)))
+    left_columns = frozenset(
+        i for i, key in enumerate(down) if not all(isinstance(v, (int, float)) for v in frame.values(key))
+    )
     columns = [*(with_unit(key.rpartition(".")[2].replace("_", " "), key) for key in down), *head]
-    return _named(Table(columns, body, title, left=left, over=title, beside=n, notes=notes), names, metric)
+    return _named(Table(columns, body, title, left=left_columns, over=title, beside=n, notes=notes), names, metric)
 
 
 def _options(frame: SweepFrame) -> dict[str, Any]:
@@ -104,7 +108,7 @@ def _statistics(frame: SweepFrame, keys: Sequence[str], metric: str) -> dict[Pla
     by_flight = {(s.contestant, s.plant, s.vehicle, s.trajectory, str(s.speed), s.setting): s for s in every}
     columns = [frame.controllers(keys) if key == "controller" else frame.column(key) for key in keys]
     flown = grouped((place, i) for i, place in enumerate(zip(*columns, strict=True)))
-    found = {}
+    statistics = {}
     for place, numbers in flown.items():
         asked = set()
         for i in numbers:
@@ -112,8 +116,8 @@ def _statistics(frame: SweepFrame, keys: Sequence[str], metric: str) -> dict[Pla
             speed = math.nan if condition.speed is None else condition.speed
             asked.add((contestant_of(frame.rows[i]), *condition[:3], str(speed), condition.setting))
         if len(asked) == 1 and (statistic := by_flight.get(asked.pop())) is not None:
-            found[place] = statistic
-    return found
+            statistics[place] = statistic
+    return statistics
 
 
 def _text(key: str, value: object) -> str:
@@ -128,11 +132,11 @@ def _named(table: Table, names: Mapping[str, str], metric: str) -> Table:
     used: set[str] = set()
 
     def said(text: str) -> str:
-        for name, own in names.items():
+        for name, replacement in names.items():
             whole = rf"(?<![\w.]){re.escape(name)}(?![\w.])"
             if re.search(whole, text):
                 used.add(name)
-                text = re.sub(whole, own.replace("\\", r"\\"), text)
+                text = re.sub(whole, replacement.replace("\\", r"\\"), text)
         return text
 
     n, notes = table.beside, [said(note) for note in table.notes]

@@ -83,12 +83,14 @@ def path_grids(rows: Sequence[Row]) -> dict[str, PathGrid]:
         settings = courses[row["trajectory"], setting].removeprefix(row["trajectory"]).strip(", ")
         words = ", ".join(filter(None, [*worlds, settings])).replace("=", " ")
         place = names[contestant_of(row)], words, speed or 0.0
-        of_course = cells.setdefault(row["trajectory"], {})
-        if place not in of_course or (is_flown(row) and not is_flown(of_course[place])):
-            of_course[place] = row
+        cells_of_trajectory = cells.setdefault(row["trajectory"], {})
+        if place not in cells_of_trajectory or (is_flown(row) and not is_flown(cells_of_trajectory[place])):
+            cells_of_trajectory[place] = row
     grids: dict[str, PathGrid] = {}
-    for trajectory, of_course in cells.items():
-        flown = sorted({place[1:] for place, row in of_course.items() if is_flown(row)}, key=lambda place: place[::-1])
+    for trajectory, cells_of_trajectory in cells.items():
+        flown = sorted(
+            {place[1:] for place, row in cells_of_trajectory.items() if is_flown(row)}, key=lambda place: place[::-1]
+        )
         speeds = {words: [speed for other, speed in flown if other == words] for words, _ in flown}
         each = max(1, MAX_CONDITIONS // max(len(speeds), 1))
         kept = [
@@ -100,7 +102,7 @@ def path_grids(rows: Sequence[Row]) -> dict[str, PathGrid]:
         chosen = {
             (name, texts[condition]): row
             for condition in kept
-            for (name, *other), row in of_course.items()
+            for (name, *other), row in cells_of_trajectory.items()
             if tuple(other) == condition
         }
         if kept:

@@ -64,15 +64,15 @@ def table(
     if metric != SUCCESS and not (is_metric(metric) and metric in frame.names):
         known = [*filter(is_metric, frame.names), SUCCESS]
         raise UsageError(f"--metric {metric}: no number of a flight{_suggestion(metric, known)}")
-    made = paper_table(
+    rendered = paper_table(
         frame, metric, rows=_keys(rows), columns=_keys(columns), names=names, intervals=intervals, digits=digits
     )
-    latex = fitted_latex(made, WIDTHS[width])
-    record = {"columns": made.columns, "rows": made.rows, "title": made.title, "notes": made.notes}
+    latex = fitted_latex(rendered, WIDTHS[width])
+    record = {"columns": rendered.columns, "rows": rendered.rows, "title": rendered.title, "notes": rendered.notes}
     if out is None:
-        return Answer(record, [made], [made], texts={"latex": lambda: latex})
-    write_text(out, latex if form == "latex" else made.rendered(form), force=force)
-    return Answer(record | {"path": out}, [made], [out], notes=made.notes)
+        return Answer(record, [rendered], [rendered], texts={"latex": lambda: latex})
+    write_text(out, latex if form == "latex" else rendered.rendered(form), force=force)
+    return Answer(record | {"path": out}, [rendered], [out], notes=rendered.notes)
 
 
 def _suggestion(name: str, known: list[str]) -> str:
@@ -81,6 +81,6 @@ def _suggestion(name: str, known: list[str]) -> str:
     return suggestion(name, known)
 
 
-def _keys(given: Keys) -> list[str] | None:
+def _keys(words: Keys) -> list[str] | None:
     """Keys of an option that is repeatable, also with commas between; None where there are none."""
-    return [key.strip() for text in given for key in text.split(",") if key.strip()] or None
+    return [key.strip() for text in words for key in text.split(",") if key.strip()] or None

@@ -91,7 +91,7 @@ def points(
 
 def shown_column(frame: SweepFrame, key: str, keys: Sequence[str]) -> list[Any]:
     """The column of a key as a figure of these keys shows it: a flight without a checkpoint has an empty one, and the
-    name of a controller has no remedy in it that is a key of its own."""
+    name of a controller has no compensation in it that is a key of its own."""
     if key == "controller":
         return frame.controllers(keys)
     return [row["model"] or "" for row in frame.rows] if key == "model" else frame.column(key)
@@ -188,14 +188,14 @@ class View:
         n, name = len(self.facet), f"{self.y}_{self.file_name}"
         if not n:
             return {name: self}
-        found = {}
+        parts = {}
         for facet in self.panels:
             places = {place[n:]: point for place, point in self.places.items() if place[:n] == facet}
             heading = self.title(self.facet, facet)
             if any(point.is_shown for point in places.values()):
                 words = "_".join(heading.replace(",", "").split())
-                found[f"{name}_{words}"] = replace(self, facet=(), places=places, heading=heading)
-        return found
+                parts[f"{name}_{words}"] = replace(self, facet=(), places=places, heading=heading)
+        return parts
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -284,11 +284,11 @@ def view(
     if x is None and kind is None and not by and not facet:
         return automatic(frame, y, confidence)[0]
     given_x, given_by, given_facet = (checked_keys(frame, keys) for keys in ([x] if x else [], by or [], facet or []))
-    given = [*given_x, *given_by, *given_facet]
-    for key in given:
-        if given.count(key) > 1:
+    stated = [*given_x, *given_by, *given_facet]
+    for key in stated:
+        if stated.count(key) > 1:
             raise UsageError(f"{key}: stands twice among --x, --by and --facet")
-    free = _beside(frame, given)
+    free = _beside(frame, stated)
     x = given_x[0] if given_x else _longest(frame, free)
     free = [key for key in free if key != x]
     who = [key for key in free if of_contestant(key)]

@@ -19,7 +19,7 @@ SHARE = 0.05  # of the time at most that goes into pages
 
 
 class Watch:
-    """with Watch(out, metric) as watch: run_sweep(..., landed=watch.landed, progress=watch.progress)
+    """with Watch(out, metric) as watch: run_sweep(..., on_result=watch.on_result, progress=watch.progress)
 
     The page is there from the first flight on, and stays as it was last.
     """
@@ -32,13 +32,13 @@ class Watch:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        now = self.shot()
+        now = self.snapshot()
         now.state = "finished" if kind is None else "interrupted" if kind is KeyboardInterrupt else f"ended: {error}"
         if isinstance(error, QuadexpError) and "run the same command to continue" in str(error):
             now.state = "interrupted: run the same command to continue"
         self._write(now)
 
-    def landed(self, row: Mapping[str, Any]) -> None:
+    def on_result(self, row: Mapping[str, Any]) -> None:
         """A flight is there."""
         self.live.rows.append(dict(row))
 
@@ -49,7 +49,7 @@ class Watch:
         self.live.total = int(total)
         if (began := time.monotonic()) >= self._due:
             with contextlib.suppress(QuadexpError):  # a full disk ends the sweep, which says so
-                self._write(self.shot())
+                self._write(self.snapshot())
             self._due = began + max(RENEWED, (time.monotonic() - began) / SHARE)
 
     def before(self, other: Callable[[int, int], None]) -> Callable[[int, int], None]:
@@ -61,7 +61,7 @@ class Watch:
 
         return both
 
-    def shot(self) -> Live:
+    def snapshot(self) -> Live:
         """The state now, which nothing changes any more."""
         return Live(**{**vars(self.live), "rows": [*self.live.rows], "elapsed": time.monotonic() - self._began})
 

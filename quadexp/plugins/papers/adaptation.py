@@ -44,8 +44,8 @@ def adaptation_table(flights: Mapping[str, Mapping[str, Flight]]) -> str:
                 cells.append(f"{root_mean_square(inside):.2f}" if len(inside) else "-")
             lines.append([TITLES.get(plant, plant), name, *cells, flight.outcome])
     heads = ["change", "controller", *(f"{low:g}..{high:g} s" for low, high in WINDOWS), "outcome"]
-    left = frozenset({0, 1, len(heads) - 1})
-    return Table(heads, lines, "RMSE (mm) in windows of time from the change", left=left).markdown()
+    left_columns = frozenset({0, 1, len(heads) - 1})
+    return Table(heads, lines, "RMSE (mm) in windows of time from the change", left=left_columns).markdown()
 
 
 def change_time(flight: Flight) -> float:

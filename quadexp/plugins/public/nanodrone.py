@@ -137,17 +137,17 @@ def errors(runs: Sequence[Run], predictions: Sequence[np.ndarray], *, as_paper: 
 
 def _errors(rows: np.ndarray, predicted: np.ndarray) -> dict[str, np.ndarray]:
     """rows: truth, of which row i is compared with step 1 of prediction i. predicted: (n, STEPS, 13)."""
-    found: dict[str, list[float]] = {part: [] for part in PARTS}
+    errors: dict[str, list[float]] = {part: [] for part in PARTS}
     for step in range(STEPS):
         truth = rows[step:]
         least = min(len(truth), len(predicted))
         truth, guess = truth[:least], predicted[:least, step]
         for part, columns in PARTS.items():
             if part == "R":
-                found[part].append(float(rotation_error(truth[:, columns], guess[:, columns]).mean()))
+                errors[part].append(float(rotation_error(truth[:, columns], guess[:, columns]).mean()))
             else:
-                found[part].append(float(np.linalg.norm(truth[:, columns] - guess[:, columns], axis=1).mean()))
-    return {part: np.array(values) for part, values in found.items()}
+                errors[part].append(float(np.linalg.norm(truth[:, columns] - guess[:, columns], axis=1).mean()))
+    return {part: np.array(values) for part, values in errors.items()}
 
 
 def rotation_error(truth: np.ndarray, guess: np.ndarray) -> np.ndarray:
@@ -175,6 +175,6 @@ def by_toolbox(runs: Sequence[Run], predictions: Sequence[np.ndarray]) -> dict[s
             columns |= {f"{name}_pred_h{step + 1}": padded[:, step, i] for i, name in enumerate(STATES)}
         each.append(compute_errors(pandas.DataFrame(columns), STEPS))
     return {
-        part: np.array([np.mean([one[name][step] for one in each]) for step in range(1, STEPS + 1)])
+        part: np.array([np.mean([error[name][step] for error in each]) for step in range(1, STEPS + 1)])
         for part, name in names.items()
     }

@@ -57,11 +57,13 @@ def inputs(run: Run, speed: float) -> Inputs:
 
 def turning(run: Run, number: int, speed: float) -> Turning:
     """A run as the replay model is fitted to it."""
-    given = inputs(run, speed)
+    inputs_of_run = inputs(run, speed)
     attitude = Rotation.from_quat(run.y[:, PARTS["R"]])
     body = attitude.apply(run.y[:, PARTS["v"]], inverse=True)
     velocity = (body[:-1] + body[1:]) / 2
-    return Turning(run.y[:, PARTS["w"]], attitude, given.torque[:-1], given.spin[:-1], velocity, number, PERIOD)
+    return Turning(
+        run.y[:, PARTS["w"]], attitude, inputs_of_run.torque[:-1], inputs_of_run.spin[:-1], velocity, number, PERIOD
+    )
 
 
 def fit_force(runs: Sequence[Run]) -> Force:
@@ -93,7 +95,7 @@ def fit_turning(runs: Sequence[Run], speed: float, *, motors: bool) -> list[Axis
 
 def predicted(run: Run, force: Force, axes: Sequence[AxisModel] | None, speed: float) -> np.ndarray:
     """States after 1 .. STEPS steps from every start of a run, (starts, STEPS, 13). axes: None: rates held."""
-    given, starts = inputs(run, speed), run.starts
+    inputs_of_run, starts = inputs(run, speed), run.starts
     position, velocity, _, rate = (run.y[starts, columns].copy() for columns in PARTS.values())
     attitude = Rotation.from_quat(run.y[starts, PARTS["R"]])  # whose products keep the sign of the quaternion
     states = np.empty((len(starts), STEPS, len(STATES)))
@@ -102,15 +104,17 @@ def predicted(run: Run, force: Force, axes: Sequence[AxisModel] | None, speed: f
         body = attitude.apply(velocity, inverse=True)
         change = np.zeros_like(rate)
         for axis, model in enumerate(axes or ()):
-            columns = [given.torque[now, axis]] if model.motors else []
+            columns = [inputs_of_run.torque[now, axis]] if model.motors else []
             columns.append(np.ones(len(now)))
             other = OTHER[axis]
             if other is not None:
-                columns.append(given.spin[now] * body[:, other])
-            change[:, axis] = np.column_stack(columns) @ model.theta - model.damping * given.spin[now] * rate[:, axis]
+                columns.append(inputs_of_run.spin[now] * body[:, other])
+            change[:, axis] = (
+                np.column_stack(columns) @ model.theta - model.damping * inputs_of_run.spin[now] * rate[:, axis]
+            )
         turn = PERIOD * (rate + PERIOD * change / 2)
         push = -force.drag * body
-        push[:, 2] += force.thrust * given.thrusts[now].sum(axis=1)
+        push[:, 2] += force.thrust * inputs_of_run.thrusts[now].sum(axis=1)
         acceleration = (attitude * Rotation.from_rotvec(turn / 2)).apply(push) - [0.0, 0.0, GRAVITY]
         position = position + PERIOD * velocity + PERIOD**2 / 2 * acceleration
         velocity = velocity + PERIOD * acceleration

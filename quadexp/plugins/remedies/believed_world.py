@@ -1,10 +1,10 @@
-"""Planning in the world that an observer believes in (control.belief): what a control step does before the plan.
+"""Planning in the world that an observer assumes (control.belief): what a control step does before the plan.
 
     estimate      an observer's update (plugins.remedies.observers), where the controller has one; otherwise the
     belief is given disturbance   F / m and J^-1 tau are parameters of the prediction model
     wind          the plan is made in a frame that moves with the air: v - w, p - o, and p*(t) - o - w t over the
                   horizon, with o' = w. In a constant wind the equations of motion there are those of still air, so that
-                  nothing changes in the model. Where the wind is believed to be another, the last solution is moved.
+                  nothing changes in the model. Where the wind is assumed to be another, the last solution is moved.
     thrust scale  the inputs of the plan are the thrusts that are delivered, s u, within s times the limits
     targets       attitudes and thrusts of the reference are made anew (targets.py), where that is asked for
 
@@ -22,9 +22,9 @@ import numpy as np
 from quadexp.compile.memory import NEXT, NOW, Memory, connected
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import N_BELIEF, no_belief
-from quadexp.control.built import built
+from quadexp.control.cached_function import cached_function
+from quadexp.control.control_step import Call, InputArrays, call, copy
 from quadexp.control.delivered import Delays, delivered_thrust, kept_sizes
-from quadexp.control.instant import Operation, Told, call, copy
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.models.residual import Residual
 from quadexp.names import named
@@ -40,7 +40,7 @@ MOVED = 0.5  # m/s: with a smaller change of the wind the last solution is a goo
 @dataclass(frozen=True)
 class Estimator:
     """An observer for a BelievedWorld: its update with settings (plugins.remedies.observers.observer), and what it is
-    told of the commands' delays."""
+    given the commands' delays."""
 
     update: ca.Function
     settings: np.ndarray
@@ -52,8 +52,8 @@ class BelievedWorld:
 
     mpc: made with disturbed=True. node_times: of the reference, from the measurement on, (k,) (s). targets: whether
     they are made anew. air: the model that references are made with; None: without.
-    estimator: finds the belief; without one, it is `told`, (11,). numbers: what is believed since the last step, (11,).
-    rows: of the horizon that it is told, an array with those that are the MPC's; None: all. memory: what it remembers.
+    estimator: finds the belief; without one, it is `given`, (11,). numbers: what is assumed since the last step, (11,).
+    rows: of the horizon that it is given, an array with those that are the MPC's; None: all. memory: what it remembers.
     """
 
     def __init__(
@@ -76,16 +76,16 @@ class BelievedWorld:
         form = {"targets": targets, "parameters": mpc.parameters.size, "width": solution.shape[1]}
         update = None if estimator is None else estimator.update
         sizes = memory_sizes(vehicle, settings.nodes, estimator)
-        function = built(
+        function = cached_function(
             mpc.backend, enter_function, vehicle, model, update, settings.nodes, settings.samples,
             kept=tuple(sizes.items()), **form,
         )  # fmt: skip
         self._function, self.memory = function, Memory("BelievedWorld", sizes)
-        self.numbers, self.told, self._sent = np.zeros(N_BELIEF), np.zeros(N_BELIEF), np.zeros(n)
+        self.numbers, self.stated, self._sent = np.zeros(N_BELIEF), np.zeros(N_BELIEF), np.zeros(n)
         samples = settings.samples * settings.nodes + 1
         self._horizon = np.zeros((samples, N_STATE)), np.zeros((samples - 1, n))
         last = mpc.memory.of_now["X"].reshape(solution.shape)
-        self._places = {"theta": mpc.parameters, "X": last, "belief": self.told, "times": np.array(node_times)}
+        self._places = {"theta": mpc.parameters, "X": last, "belief": self.stated, "times": np.array(node_times)}
         self._places |= named(("X_ref", "U_ref"), self._horizon)
         self._places["period"] = np.full(1, settings.control_period)
         self._places["since"] = settings.dead_time + settings.node_times
@@ -93,11 +93,11 @@ class BelievedWorld:
             self._places |= {"settings": estimator.settings, "delays": estimator.delays.numbers}
         assert mpc.disturbance is not None
         low, high = mpc.limits
-        left = {"disturbance": mpc.disturbance, "low": low, "high": high, "found": self.numbers}
-        left |= {"x_in": np.zeros(N_STATE), "X_moved": solution, "squares": np.zeros(1)}
+        result_places = {"disturbance": mpc.disturbance, "low": low, "high": high, "found": self.numbers}
+        result_places |= {"x_in": np.zeros(N_STATE), "X_moved": solution, "squares": np.zeros(1)}
         self._in_place = mpc.reference[0].shape[1] == N_STATE  # no thrusts among the states
-        wide = tuple(np.zeros_like(one) for one in self._horizon)
-        self._left = left | named(("X_in", "U_in"), mpc.reference if self._in_place else wide)
+        wide = tuple(np.zeros_like(array) for array in self._horizon)
+        self._left = result_places | named(("X_in", "U_in"), mpc.reference if self._in_place else wide)
         self.reset(None)
 
     @property
@@ -109,7 +109,7 @@ class BelievedWorld:
     def reset(self, begin: np.ndarray | None) -> None:
         """Begin a flight in the world of the model, after the MPC did. begin: first state of the estimator."""
         self._mpc.set_disturbance(np.zeros(6))
-        self.numbers[...] = self.told[...] = np.hstack([*no_belief()])
+        self.numbers[...] = self.stated[...] = np.hstack([*no_belief()])
         if self._air_scale is not None:
             self._air_scale[:] = 1.0
         self._mpc.set_thrust_scale(1.0)
@@ -120,26 +120,32 @@ class BelievedWorld:
         commands = np.tile(thrust, self._estimator.delays.pending)
         self.memory.begin({"commands": commands, "thrust": thrust, "sent": thrust, "estimate": begin})
 
-    def before(self, told: Told, state: np.ndarray) -> tuple[list[Operation], np.ndarray]:
+    def before(self, inputs: InputArrays, state: np.ndarray) -> tuple[list[Call], np.ndarray]:
         """What stands before the plan: it leaves the reference in the plan's frame where the MPC reads it, and the
-        state (13,) in the array that is returned; the MPC is told of the rest."""
-        left, (X, U), (X_ref, U_ref) = self._left, self._mpc.reference, self._horizon
-        places = {**self._places, "x": state, "reading": told.force, "fresh": told.fresh, "speed": told.speed}
-        operations = [Operation("window", X_ref, self.rows, U_ref)]
-        operations.append(call(connected(self._function, places, left, self.memory)))
-        operations.append(Operation("finite", source=left["squares"]))
+        state (13,) in the array that is returned; the MPC is given the rest."""
+        result_places, (X, U), (X_ref, U_ref) = self._left, self._mpc.reference, self._horizon
+        places = {
+            **self._places,
+            "x": state,
+            "reading": inputs.specific_force,
+            "fresh": inputs.fresh,
+            "speed": inputs.rotor_speed,
+        }
+        calls = [Call("window", X_ref, self.rows, U_ref)]
+        calls.append(call(connected(self._function, places, result_places, self.memory)))
+        calls.append(Call("finite", source=result_places["squares"]))
         if self._air_scale is not None:
-            operations.append(copy(self._air_scale, self.numbers[10:]))
+            calls.append(copy(self._air_scale, self.numbers[10:]))
         if not self._in_place:
-            operations += [copy(X[:, :N_STATE], left["X_in"]), copy(U, left["U_in"])]
-        return operations, left["x_in"]
+            calls += [copy(X[:, :N_STATE], result_places["X_in"]), copy(U, result_places["U_in"])]
+        return calls, result_places["x_in"]
 
-    def after(self, thrust: np.ndarray) -> tuple[list[Operation], np.ndarray]:
+    def after(self, thrust: np.ndarray) -> tuple[list[Call], np.ndarray]:
         """The command that delivers a planned thrust, (n,) (N), and the array that has it then."""
-        operations = [Operation("divide", self._sent, thrust, self.numbers[9:10])]
+        calls = [Call("divide", self._sent, thrust, self.numbers[9:10])]
         if self._estimator is not None:
-            operations.append(copy(self.memory.of_next["sent"], self._sent))
-        return operations, self._sent
+            calls.append(copy(self.memory.of_next["sent"], self._sent))
+        return calls, self._sent
 
     @property
     def finite(self) -> bool:
@@ -191,11 +197,11 @@ def enter_function(
     shapes |= {"theta": parameters} if update is not None or model is not None else {}
     remembered = named_symbols(ca.MX, dict(kept))
     a = named_symbols(ca.MX, shapes) | {NOW + name: value for name, value in remembered.items()}
-    left: dict[str, Any] = {}
-    found = a.get("belief")
+    next_values: dict[str, Any] = {}
+    belief = a.get("belief")
     if update is not None:
-        found, left = _estimated(vehicle, a, remembered, update)
-    force, torque, wind, scale, air_scale = ca.vertsplit(found, [0, 3, 6, 9, 10, 11])
+        belief, next_values = _estimated(vehicle, a, remembered, update)
+    force, torque, wind, scale, air_scale = ca.vertsplit(belief, [0, 3, 6, 9, 10, 11])
     spin = ca.inv(ca.DM(vehicle.inertia_matrix)) @ torque
     disturbance = ca.vertcat(force / vehicle.mass, spin)
     origin = remembered["origin"] + a["period"] * remembered["wind"]
@@ -218,15 +224,15 @@ def enter_function(
     X_in = ca.vertcat(position, attitude, X_ref[VELOCITY, :] - ca.repmat(wind, 1, rows), rate)
     x, change = a["x"], wind - remembered["wind"]
     x_in = ca.vertcat(x[POSITION] - origin, x[ATTITUDE], x[VELOCITY] - wind, x[RATE])
-    left |= {"origin": origin, "wind": wind, "air": air}
-    results = {"x_in": x_in, "X_in": X_in, "U_in": U_in, "disturbance": disturbance, "found": found}
+    next_values |= {"origin": origin, "wind": wind, "air": air}
+    results = {"x_in": x_in, "X_in": X_in, "U_in": U_in, "disturbance": disturbance, "found": belief}
     low, high = (1 + ROUNDING) * vehicle.thrust_min, (1 - ROUNDING) * vehicle.thrust_max
     results |= {"low": scale * low * ca.DM.ones(n), "high": scale * high * ca.DM.ones(n)}
     squares = ca.sumsqr(x_in) + ca.sumsqr(X_in) + ca.sumsqr(U_in)
     moving = ca.vertcat(change @ (a["since"] - a["period"]).T, ca.DM.zeros(4, nodes + 1))
     moving = ca.vertcat(moving, ca.repmat(change, 1, nodes + 1), ca.DM.zeros(width - VELOCITY.stop, nodes + 1))
     results |= {"X_moved": ca.if_else(ca.norm_2(change) > MOVED, a["X"] - moving, a["X"]), "squares": squares}
-    results |= {NEXT + name: value for name, value in left.items()}
+    results |= {NEXT + name: value for name, value in next_values.items()}
     return named_function("believed_world", a, results)
 
 
@@ -236,9 +242,9 @@ def _estimated(
     """The belief (11,) by an estimator, and what is to be remembered of commands and estimates."""
     (read, turning), coefficient = ca.vertsplit(a["fresh"]), vehicle.thrust_coefficient
     speeds = [] if coefficient is None else [coefficient * a["speed"] ** 2, turning]
-    now, mean, left = delivered_thrust(kept, kept["sent"], a["delays"], *speeds)
-    given = [kept["estimate"], a["x"], a["reading"], read, now, mean, a["theta"], a["settings"]]
-    estimate, belief = update(*given)
+    now, mean, next_values = delivered_thrust(kept, kept["sent"], a["delays"], *speeds)
+    arguments = [kept["estimate"], a["x"], a["reading"], read, now, mean, a["theta"], a["settings"]]
+    estimate, belief = update(*arguments)
     nothing, flown = ca.DM([0.0] * (N_BELIEF - 2) + [1.0, 1.0]), ca.fmax(kept["flown"], read)
-    left |= {"estimate": ca.if_else(flown, estimate, kept["estimate"]), "flown": ca.DM.ones(1)}
-    return ca.if_else(flown, belief, nothing), left
+    next_values |= {"estimate": ca.if_else(flown, estimate, kept["estimate"]), "flown": ca.DM.ones(1)}
+    return ca.if_else(flown, belief, nothing), next_values

@@ -10,7 +10,7 @@ increment of the one is J times the wanted increment of the other, whatever else
 
 _f: through the same second-order Butterworth low pass; s: signs of the reaction torques; T_s: spin_up_time, or dt as
 printed. (34) and (35) are printed without c_t. Without I_p (35) is linear in W_c^2. With the transfer functions H of
-the filter and M of the motors, a torque d_tau that nobody models, and J / k believed D times too large,
+the filter and M of the motors, a torque d_tau that nobody models, and J / k assumed D times too large,
 
     alpha / alpha_wanted = D M / (1 + (D - 1) H M),    alpha / d_tau = J^-1 (1 - H M) / (1 + (D - 1) H M)
 
@@ -29,14 +29,14 @@ from quadexp.control.inputs import Circumstances, Inputs
 from quadexp.control.layer import Layer, LayerPart
 from quadexp.control.wrapped import layers
 from quadexp.errors import UsageError
-from quadexp.parts.part import Given
-from quadexp.parts.sensor_sheet import later_speeds
+from quadexp.models.build_context import BuildContext
+from quadexp.parts.sensor_spec import later_speeds
 from quadexp.parts.settings import Backend, key, keyed
 from quadexp.physics.expression import Expression, symbols
 from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.laws.dfbc import TILT_FIRST, WRENCH_WEIGHT, Wrench
-from quadexp.plugins.remedies.earlier import earlier, kept_size
+from quadexp.plugins.remedies.delay_line import delayed, kept_size
 
 NEWTON_STEPS = 5  # of (35) with I_p, from the filtered speeds; quadratic convergence
 
@@ -49,7 +49,7 @@ def indi_function(vehicle: Vehicle, keys: INDI) -> ca.Function:
     """
     n, dt = vehicle.n_rotors, 1.0 / keys.rate
     if not keys.cutoff < keys.rate / 2:
-        raise UsageError(f"inner.cutoff={keys.cutoff:g}: must be below half of inner.rate={keys.rate:g} Hz")
+        raise UsageError(f"rate_loop.cutoff={keys.cutoff:g}: must be below half of rate_loop.rate={keys.rate:g} Hz")
     b, a = _low_pass(keys)
     wanted, rate, delivered, memory, before = symbols(
         ca.MX, wanted=n, rate=3, delivered=n, memory=(3 + n, 2), before=3 + n
@@ -84,7 +84,7 @@ def _spin(vehicle: Vehicle, keys: INDI) -> ca.DM:
     """Torque about z_body per change of sqrt(thrust) per second, (n,). Raises UsageError where it is not known."""
     if vehicle.thrust_coefficient is None or vehicle.n_rotors != 4:
         raise UsageError(
-            f"inner.rotor_inertia={keys.rotor_inertia:g}: needs vehicle.thrust_coefficient and four rotors;"
+            f"rate_loop.rotor_inertia={keys.rotor_inertia:g}: needs vehicle.thrust_coefficient and four rotors;"
             f" vehicle={vehicle.name} does not have both"
         )
     return ca.DM(keys.rotor_inertia * np.array(vehicle.rotor_spin) / np.sqrt(vehicle.thrust_coefficient))
@@ -122,7 +122,7 @@ class INDI(LayerPart):
     """An INDI rate loop (incremental nonlinear dynamic inversion), with the values of Sun et al. 2022: every n-th
     instant the controller inside steps, whose thrusts the loop gives to the rotors."""
 
-    prefix = "inner."
+    prefix = "rate_loop."
 
     rate: float = key(300.0, "rate of the loop, a whole multiple of the controller's rate", "[1, 10000]", "Hz")
     cutoff: float = key(12.0, "of the Butterworth filter, below half the rate", "(0, 5000]", "Hz", tuned="4..100:log")
@@ -144,36 +144,36 @@ class INDI(LayerPart):
     dead_time: float = key(0.0, "delay of the commands, where rotor speeds are not measured", "[0, 0.5]", "s")
     backend: Backend = "auto"
 
-    def remembers(self, given: Inputs) -> dict[str, int]:
-        """See LayerPart: the low pass, what it gave last, rates that have been told."""
-        size = 3 + given.vehicle.n_rotors
-        late = {"rates": kept_size(3, given.about.late, given.period)} if given.about.late else {}
+    def remembers(self, inputs: Inputs) -> dict[str, int]:
+        """See LayerPart: the low pass, what it gave last, rates that have been given."""
+        size = 3 + inputs.vehicle.n_rotors
+        late = {"rates": kept_size(3, inputs.about.late, inputs.period)} if inputs.about.late else {}
         return {"low_pass": 2 * size, "filtered": size, **late}
 
-    def start(self, given: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
+    def start(self, inputs: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
         """See LayerPart: as if rates and thrusts of the start had always been there."""
         values = np.concatenate([x[RATE], np.sqrt(thrust)])
-        rates = np.tile(x[RATE], kept_size(3, given.about.late, given.period) // 3)
+        rates = np.tile(x[RATE], kept_size(3, inputs.about.late, inputs.period) // 3)
         return {"low_pass": settled_memory(self, values), "filtered": values, "rates": rates}
 
-    def after(self, vehicle: Vehicle, given: Inputs, memory: Any, found: Any) -> dict[str, Any]:
+    def after(self, vehicle: Vehicle, inputs: Inputs, memory: Any, before: Any) -> dict[str, Any]:
         """The thrusts of `indi_function`."""
-        rate, told = given.state[RATE], {}
-        if late := given.about.late:
-            rate, told["rates"] = earlier(rate, memory.rates, late, given.period)
+        rate, results = inputs.state[RATE], {}
+        if late := inputs.about.late:
+            rate, results["rates"] = delayed(rate, memory.rates, late, inputs.period)
         low_pass = ca.reshape(memory.low_pass, -1, 2)
         law = indi_function(vehicle, self)
-        thrust, memory_next, filtered = law(given.command, rate, given.delivered, low_pass, memory.filtered)
-        return {"command": thrust, "low_pass": ca.vec(memory_next), "filtered": filtered, **told}
+        thrust, memory_next, filtered = law(inputs.command, rate, inputs.delivered, low_pass, memory.filtered)
+        return {"command": thrust, "low_pass": ca.vec(memory_next), "filtered": filtered, **results}
 
-    def put_around(self, controller: Any, given: Given) -> Layer:
+    def put_around(self, controller: Any, context: BuildContext) -> Layer:
         """See Remedy; UsageError where an observer inside finds the torque that the loop removes too."""
-        if any(getattr(one, "finds_torque", False) for one in layers(controller)):
+        if any(getattr(layer, "finds_torque", False) for layer in layers(controller)):
             raise UsageError(
-                f"inner={self.name}: it removes an unknown torque, which the observer inside finds too and the"
+                f"rate_loop={self.name}: it removes an unknown torque, which the observer inside finds too and the"
                 " controller would take away a second time; set observer.torque_bandwidth=0"
             )
-        return self.around(controller, later_speeds(given.sheet))
+        return self.around(controller, later_speeds(context.sensor_spec))
 
     def around(self, controller: Any, late: float = 0.0) -> Layer:
         """See Remedy. late: by how much the rotors' speeds are older than the rates that they are compared with (s).
@@ -183,7 +183,7 @@ class INDI(LayerPart):
         every = round(ratio)
         if every < 1 or abs(ratio - every) > WHOLE * ratio:
             raise UsageError(
-                f"inner.rate={self.rate:g}: must be a whole multiple of the controller's rate of"
+                f"rate_loop.rate={self.rate:g}: must be a whole multiple of the controller's rate of"
                 f" {1 / controller.control_period:g} Hz"
             )
         about = Circumstances(controller.control_period / every, self.dead_time, self.motor_lag, late)

@@ -14,8 +14,8 @@ f_v = R (T e_z/m + a_air), f_w = J^-1 (tau + tau_air - w x J w): means of their 
 the mean of the delivered thrusts over it. This is the exact hold of the continuous law: whatever the pole, s_k is
 a T/(e^{a T} - 1) times the mean disturbance of the last period (dead beat), so that w_co alone shapes the response.
 
-The thrusts are those of the commands, not c_t W^2 of measured rotor speeds: a motor that gives less than it was told is
-a matched disturbance too. Where u leaves the limits, allocation.py decides. World ENU, body FLU, SI.
+The thrusts are those of the commands, not c_t W^2 of measured rotor speeds: a motor that gives less than it was given
+is a matched disturbance too. Where u leaves the limits, allocation.py decides. World ENU, body FLU, SI.
 """
 
 from __future__ import annotations
@@ -118,38 +118,38 @@ class L1(LayerPart):
         False, "tell the controller the lateral force, which rotors cannot cancel, through the same low pass"
     )
 
-    def remembers(self, given: Inputs) -> dict[str, int]:
+    def remembers(self, inputs: Inputs) -> dict[str, int]:
         """See LayerPart: z~; s_F and s_tau; y; the last state, and whether there is one."""
         return {"error": 6, "disturbance": 6, "filtered": 6, "last": N_STATE, "begun": 1}
 
-    def start(self, given: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
+    def start(self, inputs: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
         """See LayerPart."""
         return {"last": x}
 
-    def before(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+    def before(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """(1), (2) and the low pass of (3). body: R^T s_F and s_tau, (6,), before the low pass."""
-        x, thrust, features = given.state, given.mean, features_function(vehicle)
-        air = [ca.densify(given.model(features(state, thrust))) for state in (x, memory.last)]
+        x, thrust, features = inputs.state, inputs.mean, features_function(vehicle)
+        air = [ca.densify(inputs.model(features(state, thrust))) for state in (x, memory.last)]
         states = [memory.error, memory.disturbance, memory.filtered]
-        *now, body, lateral = _predictor(vehicle, self, given.period)(x, memory.last, thrust, *states, *air)
+        *now, body, lateral = _predictor(vehicle, self, inputs.period)(x, memory.last, thrust, *states, *air)
         error, disturbance, filtered = (
             ca.if_else(memory.begun, new, old) for new, old in zip(now, states, strict=True)
         )
-        found = {"error": error, "disturbance": disturbance, "filtered": filtered, "last": x, "begun": 1}
-        found["body"] = memory.begun * body
+        results = {"error": error, "disturbance": disturbance, "filtered": filtered, "last": x, "begun": 1}
+        results["body"] = memory.begun * body
         if self.unmatched:
-            found["belief"] = ca.vertcat(memory.begun * lateral, ca.DM(NO_BELIEF[3:]))
-        return found
+            results["belief"] = ca.vertcat(memory.begun * lateral, ca.DM(NO_BELIEF[3:]))
+        return results
 
-    def after(self, vehicle: Vehicle, given: Inputs, memory: Any, found: Any) -> dict[str, Any]:
+    def after(self, vehicle: Vehicle, inputs: Inputs, memory: Any, before: Any) -> dict[str, Any]:
         """The sum of (3) within the limits."""
         base, y = symbols(ca.SX, base=vehicle.n_rotors, filtered=6)
         add = ca.Function("l1_add", [base, y], [ca.cse(added(vehicle, base, -y[2:]))])
-        return {"command": add(given.command, found.filtered)}
+        return {"command": add(inputs.command, before.filtered)}
 
     def around(self, controller: Any) -> Layer:
         """See Remedy. UsageError around an observer, around a controller that learns its model in flight, and where the
-        controller cannot be told what `unmatched` asks for."""
+        controller cannot be given what `unmatched` asks for."""
         if isinstance(controller, WrappedController):
             raise UsageError(
                 "adaptive=l1: an observer estimates the same disturbance, and both would compensate it: choose"
@@ -162,7 +162,7 @@ class L1(LayerPart):
             )
         if self.unmatched and not hasattr(controller, "believe"):
             raise UsageError(
-                "adaptive.unmatched=true: this controller cannot be told of a force; adaptive.unmatched=false"
+                "adaptive.unmatched=true: this controller cannot be given a force; adaptive.unmatched=false"
             )
         lag, dead_time = self.motor_lag, self.dead_time
         about = Circumstances(

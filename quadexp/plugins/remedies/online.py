@@ -83,8 +83,8 @@ def regressors(adapting: Adapting, rotors: int) -> ca.Function:
         y = function.call([z, with_weights], True, False)[0]
     y = ca.densify(y)
     rows = [ca.jacobian(y[block.axis], a) for block, a in zip(adapting.blocks, weights, strict=True)]
-    given = [theta[block.at.tolist()] for block in adapting.blocks]
-    y, *rows = ca.graph_substitute([y, *map(ca.densify, rows)], weights, given)
+    parameters = [theta[block.at.tolist()] for block in adapting.blocks]
+    y, *rows = ca.graph_substitute([y, *map(ca.densify, rows)], weights, parameters)
     return ca.Function("regressors", [z, theta], [y, *rows])
 
 
@@ -127,8 +127,8 @@ def update_function(
     beliefs = split(belief, (block.size for block in adapting.blocks))
     theta, innovation, updated = ca.MX(prior), [ca.MX(0)] * 3, []
     for block, row, before in zip(adapting.blocks, rows, beliefs, strict=True):
-        given = before, row.T, sample[block.axis], variance, decay, tracking * sigma[block.axis]
-        after, weights, innovation[block.axis] = (_compiled_block if compiled else _block)(block, law, *given)
+        arguments = before, row.T, sample[block.axis], variance, decay, tracking * sigma[block.axis]
+        after, weights, innovation[block.axis] = (_compiled_block if compiled else _block)(block, law, *arguments)
         updated.append(after)
         theta[block.at.tolist()] = weights
     outputs = {"new_belief": ca.vertcat(*updated), "theta": theta, "innovation": ca.vertcat(*innovation)}
@@ -169,8 +169,8 @@ def _compiled_block(block: Block, law: Law, *arguments: Expression) -> tuple[Exp
     chosen = {"RLS": law.name == "rls", "FITC": law.fitc, "COMPOSITE": law.name == "composite"}
     name = "_".join(["adapt", str(h), *(word.lower() for word, on in chosen.items() if on)])
     sizes = {"SIZE": h} | {word: int(on) for word, on in chosen.items()}
-    given = {"belief": block.size, "row": h, "sample": 1, "variance": 1, "decay": 1, "push": 1}
-    inputs = {word: dense(size) for word, size in given.items()}
+    shapes = {"belief": block.size, "row": h, "sample": 1, "variance": 1, "decay": 1, "push": 1}
+    inputs = {word: dense(size) for word, size in shapes.items()}
     inputs |= {"root": dense(h, h), "mean": dense(h), "signal": dense(1)}
     results = {"next": dense(block.size), "weights": dense(h), "innovation": dense(1)}
     kernel = handwritten(name, BLOCK, sizes, inputs, results)

@@ -17,8 +17,8 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.control.base import Window
+from quadexp.control.control_step import ControlStep, InputArrays, copy, python
 from quadexp.control.delivered import DeliveredThrust
-from quadexp.control.instant import Instant, Told, copy, python
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.part import PredictivePart
@@ -26,8 +26,8 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.wrapped import thrust_at_start
 from quadexp.errors import UsageError
 from quadexp.models.adapting import Adapting
+from quadexp.models.build_context import BuildContext
 from quadexp.models.residual import Residual, sum_residual
-from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, Settings, key, keyed, part
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.remedies.online import Law, prior_belief, update_function
@@ -102,14 +102,14 @@ class AdaptingController(PredictiveController):
             vehicle, adapting, fixed, Law(adapt.law, adapt.fitc), compiled=self.backend == "compiled"
         )
         self._update = BufferedFunction(realise(function, self.backend))
-        given, found = self._update.arguments, self._update.results
+        arguments, results = self._update.arguments, self._update.results
         period = self.control_period * adapt.every
-        given["variance"][...], given["decay"][...] = adapt.noise**2, math.exp(-period / adapt.memory)
-        given["tracking"][...], given["tracking_rate"][...] = period * adapt.tracking, adapt.tracking_rate
+        arguments["variance"][...], arguments["decay"][...] = adapt.noise**2, math.exp(-period / adapt.memory)
+        arguments["tracking"][...], arguments["tracking_rate"][...] = period * adapt.tracking, adapt.tracking_rate
         if fixed is not None:
-            given["known_theta"][...] = fixed.theta
-        self._belief, self._new_belief = given["belief"], found["new_belief"]
-        self._given, self.theta, self.innovation = given, found["theta"], found["innovation"]
+            arguments["known_theta"][...] = fixed.theta
+        self._belief, self._new_belief = arguments["belief"], results["new_belief"]
+        self._given, self.theta, self.innovation = arguments, results["theta"], results["innovation"]
         self._all = model.theta.copy()
         self._weights = self._all[len(model.theta) - len(adapting.residual.theta) :]
         self._delivered = DeliveredThrust(vehicle, self.control_period, settings.dead_time, settings.known_lag)
@@ -138,16 +138,20 @@ class AdaptingController(PredictiveController):
     def prepare(self, window: Window) -> None:
         """Does nothing: the weights of the next step depend on its measurement."""
 
-    def instant(self, told: Told, state: np.ndarray) -> Instant:
-        """See control.instant; without an accelerometer reading the weights stay."""
-        inner, given, delivered = super().instant(told, state), self._given, self._delivered
-        path = given["path"]
-        places = {"x": state, "f": told.force, "u": delivered.thrust}
-        learning = [*delivered.before(told), *(copy(given[name], place) for name, place in places.items())]
-        learning += [copy(path[:3], told.path[0]), copy(path[3:], told.path[1]), python(self._learn, told.read)]
-        operations = [*learning, *inner.operations, *delivered.after(inner.command)]
-        memory = (*inner.memory, delivered.memory)
-        return inner._replace(operations=operations, logged=(self.innovation,), memory=memory)
+    def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
+        """See control.control_step; without an accelerometer reading the weights stay."""
+        step, arguments, delivered = super().control_step(inputs, state), self._given, self._delivered
+        path = arguments["path"]
+        places = {"x": state, "f": inputs.specific_force, "u": delivered.thrust}
+        learning = [*delivered.before(inputs), *(copy(arguments[name], place) for name, place in places.items())]
+        learning += [
+            copy(path[:3], inputs.path[0]),
+            copy(path[3:], inputs.path[1]),
+            python(self._learn, inputs.accelerometer_valid),
+        ]
+        calls = [*learning, *step.calls, *delivered.after(step.command)]
+        memory = (*step.memory, delivered.memory)
+        return step._replace(calls=calls, logged=(self.innovation,), memory=memory)
 
     def log(self) -> dict[str, float]:
         """See Controller.log: what the last sample was away from its prediction."""
@@ -190,7 +194,7 @@ class OnlineMPC(PredictivePart):
                 "controller.residual: terms have no fitted values, so they can only be the last, adapting one"
             )
 
-    def build(self, given: Given) -> Any:
+    def build(self, context: BuildContext) -> Any:
         """See ControllerPart."""
         from quadexp.models.terms import adapting_terms
         from quadexp.plugins.remedies.online import from_zero
@@ -201,16 +205,16 @@ class OnlineMPC(PredictivePart):
                 has = "fitted signal variance" if name == "fit_prior" else "inducing points"
                 raise UsageError(f"controller.adapt.{name}: {last} has no {has}, a Gaussian process has")
         if last != "terms":
-            residual, checkpoint = given.residuals(self.residual)[-1], given.checkpoint(-1)
+            residual, checkpoint = context.residuals(self.residual)[-1], context.checkpoint(-1)
             deviation = None if self.adapt.fit_prior else self.adapt.deviation
-            adapting = checkpoint.adapting(given.vehicle, residual, deviation)
+            adapting = checkpoint.adapting(context.vehicle, residual, deviation)
         else:
-            adapting = adapting_terms(given.vehicle, self.adapt.deviation)
+            adapting = adapting_terms(context.vehicle, self.adapt.deviation)
         if self.adapt.start == "zero":
             adapting = from_zero(adapting)
         return AdaptingController(
-            given.vehicle,
-            given.residuals(others),
+            context.vehicle,
+            context.residuals(others),
             adapting,
             part(MPCSettings, self),
             self.adapt,

@@ -1,4 +1,4 @@
-"""Targets that hold the path in the world that is believed: attitudes, rates and thrusts of a reference made anew.
+"""Targets that hold the path in the world that is assumed: attitudes, rates and thrusts of a reference made anew.
 
 A reference holds its path in still air without disturbance. At a node with attitude R, thrusts u of sum T and the air
 that the reference was made with, a_0 = a_air(R'v, w, u), the path asks for the specific force R (T e_z / m + a_0).
@@ -9,7 +9,7 @@ Under a force F, a torque tau and a wind W the same path needs R_1, u_1 with
 
 R_1 turns R by the shortest way that brings its z axis onto the right-hand side. The d in it is that of the last control
 step, which converges from step to step; where nothing moves the targets are exact. No axis of d or tau_1 - tau_0 is
-larger than what the rotors can hold, so that targets stay finite where the air is believed far too strong. d is found
+larger than what the rotors can hold, so that targets stay finite where the air is assumed far too strong. d is found
 at every second node, and linear in time between. The rates get the turn's derivative along the horizon, by differences.
 Where next to no specific force is asked for, its direction is none to follow, and the attitude remains that of the
 reference. With weights on attitude and thrust an MPC only reaches zero error with such targets (Muske and Badgwell
@@ -90,12 +90,12 @@ def held_targets(
             before, after = max(i for i in exact if i <= k), min(i for i in exact if i >= k)
             share = 0 if k in exact else (times[k] - times[before]) / (times[after] - times[before])
             air.append(exact[before] + share * (exact[after] - exact[before]))
-    found = [as_scalars(turned)(x, u, d, disturbance) for x, u, d in zip(states, inputs, air, strict=True)]
+    results = [as_scalars(turned)(x, u, d, disturbance) for x, u, d in zip(states, inputs, air, strict=True)]
     moved, limit = [], TURNING * vehicle.rate_max
-    for x, (q, _, _), slope in zip(states, found, _slopes([turn for _, turn, _ in found], times), strict=True):
+    for x, (q, _, _), slope in zip(states, results, _slopes([turn for _, turn, _ in results], times), strict=True):
         turning = rotation_matrix(q).T @ slope
         moved.append(ca.vertcat(q, x[RATE] + limited(turning, -limit, limit)))
-    return moved, [change for _, _, change in found], air
+    return moved, [change for _, _, change in results], air
 
 
 def _slopes(values: list[Expression], times: list[Expression]) -> list[Expression]:

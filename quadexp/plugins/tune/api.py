@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from quadexp.api import Given, Scratch, overrides, progress_of, request_of
+from quadexp.api import OverrideLike, Scratch, overrides, progress_of, request_of
 from quadexp.errors import UsageError
 from quadexp.frames import Frame
 from quadexp.log.store import read_table
@@ -49,7 +49,7 @@ class Tuning(Frame):
 
 
 def tune(
-    *settings: Given, out: Place | None = None, conf: Folders = None, force: bool = False,
+    *settings: OverrideLike, out: Place | None = None, conf: Folders = None, force: bool = False,
     progress: bool = False, **keywords: Any,
 ) -> Tuning:  # fmt: skip
     """Choose settings of a controller by flights, as `quadexp tune`.

@@ -58,7 +58,7 @@ class Tuned:
 
 
 def tune(
-    given: Sequence[str] = (),
+    seeded: Sequence[str] = (),
     asked: Tune = Tune(),  # noqa: B008 - frozen
     *,
     figure: bool = True,
@@ -71,19 +71,21 @@ def tune(
 ) -> Tuned:
     """Search settings of a controller with a budget of flights, write the option that was found, and return it.
 
-    given: overrides of the cells of a trial, several values as in a sweep. figure: whether to draw the search.
+    seeded: overrides of the cells of a trial, several values as in a sweep. figure: whether to draw the search.
     out: a folder, tuned/CONTROLLER by default. conf: a configuration folder of your own. force: begin anew; the flights
     are kept, for they are named by what they are. function: flies a cell. isolate: False flies in this process.
     Raises UsageError before anything is flown; see also Search.run.
     """
     with session(conf) as composer:
-        composer.only("tune", given)
+        composer.only("tune", seeded)
         declare_parts(composer.every("metric"))
-        given = with_seeds(given, asked.seeds)
-        cells = cells_of(composer, given)
+        seeded = with_seeds(seeded, asked.seeds)
+        cells = cells_of(composer, seeded)
         first = cells[0].config
         axes = tuple(read_axes(asked.vary, first))
-        request = Request(tuple(given), axes, first.evaluate.metric, asked.delay_margin, asked.search_seed, asked.batch)
+        request = Request(
+            tuple(seeded), axes, first.evaluate.metric, asked.delay_margin, asked.search_seed, asked.batch
+        )
         out = out or Path("tuned") / first.controller.name
         with opened(first, len(cells)) as engine:
             search = Search(composer, request, out, engine=engine, function=function, isolate=isolate)
@@ -92,14 +94,18 @@ def tune(
                 raise UsageError(
                     f"--flights {asked.flights}: a trial takes {each} flights, so {2 * each} are needed at least"
                 )
-            options = options_of(given, first)
+            options = options_of(seeded, first)
             check_name(options, asked.name)
             check_place(out, composer, options, asked.name)
             check_output(out / HISTORY, force=True)
             trials = search.run(asked.flights // each, progress, anew=force)
         best = best_of(trials)
         history = _write_history(out, request, search, trials)
-        tuned = composer.expand([*given, *overrides(axes, trials[best].numbers)], check=False).sound()[0].config
+        tuned = (
+            composer.expand([*seeded, *overrides(axes, trials[best].numbers)], check=False)
+            .all_valid_or_raise()[0]
+            .config
+        )
         about = _about(request, search, trials, best)
         choice, option = write_preset(out, composer, options, tuned, about, asked.name)
     if figure:

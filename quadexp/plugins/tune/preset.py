@@ -29,10 +29,10 @@ BY_HAND = "by hand"  # key of the provenance of settings that were not tuned, bu
 _INDENT = "#   "
 
 
-def options_of(given: Sequence[str], config: Config) -> dict[str, str]:
-    """Group -> option of what is tuned: the controller, and every remedy around it that does something; as given, or as
-    an experiment chose them."""
-    chosen = {text.partition("=")[0]: text.partition("=")[2] for text in given}
+def options_of(words: Sequence[str], config: Config) -> dict[str, str]:
+    """Group -> option of what is tuned: the controller, and every compensation around it that does something; as given,
+    or as an experiment chose them."""
+    chosen = {text.partition("=")[0]: text.partition("=")[2] for text in words}
     options = {"controller": chosen.get("controller", config.controller.name)}
     for group in REMEDIES:
         if not getattr(config, group).idle:

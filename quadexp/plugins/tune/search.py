@@ -74,28 +74,28 @@ class Request:
         }
 
 
-def with_seeds(given: Sequence[str], seeds: int) -> list[str]:
+def with_seeds(overrides: Sequence[str], seeds: int) -> list[str]:
     """The overrides, with seeds that no evaluation has, where none are given."""
-    if any(text.startswith("seed=") for text in given):
-        return list(given)
-    return [*given, f"seed=range({FIRST_SEED},{FIRST_SEED + seeds})"]
+    if any(text.startswith("seed=") for text in overrides):
+        return list(overrides)
+    return [*overrides, f"seed=range({FIRST_SEED},{FIRST_SEED + seeds})"]
 
 
-def cells_of(composer: Composer, given: Sequence[str]) -> list[Cell]:
+def cells_of(composer: Composer, overrides: Sequence[str]) -> list[Cell]:
     """The cells of a trial; raises UsageError where they are of several controllers, or cannot be flown."""
-    cells = composer.expand(given, check=False)
+    cells = composer.expand(overrides, check=False)
     for grid in cells.grids:
         several = [texts[0].partition("=")[0] for texts in grid if len(texts) > 1]
         if wrong := [key for key in several if key.partition(".")[0] in (*TUNED, *PRESETS, "remedies")]:
             raise UsageError(f"{wrong[0]}: has several values; one controller is tuned at a time")
-    sound = cells.sound()
-    nodes = {canonical([repr(getattr(cell.config, group)) for group in TUNED]) for cell in sound}
+    valid_cells = cells.all_valid_or_raise()
+    nodes = {canonical([repr(getattr(cell.config, group)) for group in TUNED]) for cell in valid_cells}
     if len(nodes) > 1:
         raise UsageError("the cells are of several controllers; one is tuned at a time")
-    for config in (cell.config for cell in sound):
+    for config in (cell.config for cell in valid_cells):
         vehicle = build_vehicle(config.vehicle)
         check_feasible(config, build_trajectory(config.trajectory, vehicle), vehicle)
-    return sound
+    return valid_cells
 
 
 class Search:
@@ -198,7 +198,9 @@ class Search:
         texts = [*request.given, *overrides(request.axes, numbers)]
         cells = self._composer.expand(texts, check=False)
         try:
-            rows = fly_cells(cells.sound(), self.store, self._engine, function=self._function, isolate=self._isolate)
+            rows = fly_cells(
+                cells.all_valid_or_raise(), self.store, self._engine, function=self._function, isolate=self._isolate
+            )
         except UsageError as error:
             if first or isinstance(error, WriteError):
                 raise

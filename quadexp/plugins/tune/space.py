@@ -77,7 +77,7 @@ def _text(value: Any) -> str:
 
 
 def read_axes(texts: Sequence[str], config: Config) -> list[Axis]:
-    """The axes of a search: as given, or those that the keys of the controller and of every remedy around it say.
+    """The axes of a search: as given, or those that the keys of the controller and of every compensation around it say.
 
     config: what is tuned, whose values are the start. Raises UsageError with one line.
     """

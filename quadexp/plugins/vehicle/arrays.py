@@ -1,7 +1,7 @@
-"""The arrays that a controller's operations work on, as places in three C arrays.
+"""The arrays that a controller's calls work on, as places in three C arrays.
 
     numbers   what may be changed in flight: parameters of the model of the air, weights, limits, an observer's settings
-    ram       what an operation writes
+    ram       what an call writes
     rom       all else
 
 Arrays of Python that overlap become one block, so that aliases stay aliases. A block keeps its bytes in the order of
@@ -64,8 +64,8 @@ class Arrays:
     def add(
         self, array: np.ndarray | None, *, written: bool = False, cleared: bool = False, changed: bool = False
     ) -> None:
-        """An array that operations read. written: and write. cleared: what it holds now is not needed. changed: a user
-        may change it, where no operation writes it."""
+        """An array that calls read. written: and write. cleared: what it holds now is not needed. changed: a user
+        may change it, where no call writes it."""
         if array is None or not array.size:
             return
         if array.dtype != float:

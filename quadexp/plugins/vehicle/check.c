@@ -1,6 +1,6 @@
 /* check FOLDER: the controller of this folder against the flight of the bench that lies in it.
 
-   vectors.bin   what the controller was told and answered at each instant: it has to answer the same
+   vectors.bin   what the controller was given and answered at each instant: it has to answer the same
    plant.bin     the plant's noise and parameters: controller and plant fly in a closed loop, along the same path
    then          10,000 steps of numbers that nobody should send, after each of which it has to fly on
 

@@ -32,11 +32,11 @@ def export_controller(
     """
     from quadexp.plugins.vehicle.export import export_controller as export
 
-    made = export(overrides, out, conf, real=real, prefix=prefix, force=force)
-    size = sum(made["files"].values())
-    line = f"{len(made['files'])} files, {size / 1e6:.1f} MB; make -C {made['path']} test checks them"
-    rows = [{"file": name, "bytes": count} for name, count in made["files"].items()]
-    return Answer(made, rows, [line, Path(made["path"])])
+    folder = export(overrides, out, conf, real=real, prefix=prefix, force=force)
+    size = sum(folder["files"].values())
+    line = f"{len(folder['files'])} files, {size / 1e6:.1f} MB; make -C {folder['path']} test checks them"
+    rows = [{"file": name, "bytes": count} for name, count in folder["files"].items()]
+    return Answer(folder, rows, [line, Path(folder["path"])])
 
 
 @command

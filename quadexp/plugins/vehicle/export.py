@@ -12,7 +12,7 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.control.compiled_loop import goes_in_c
-from quadexp.control.instant import in_operations
+from quadexp.control.control_step import in_calls
 from quadexp.control.wrapped import innermost, layers
 from quadexp.errors import UsageError
 from quadexp.experiment.build import (
@@ -87,19 +87,19 @@ def manifest_names(file: Path) -> set[str]:
 
 
 def refuse_python(controller: Any, config: Config) -> None:
-    """Raise UsageError where a controller, or a remedy, exists in Python only; it is named."""
-    if in_operations(controller) and controller.backend != "compiled":
+    """Raise UsageError where a controller, or a compensation, exists in Python only; it is named."""
+    if in_calls(controller) and controller.backend != "compiled":
         raise UsageError("export-controller: needs a C compiler and backend=compiled, which the bench flies with too")
     around = [f"{group}={part.name}" for group, part in remedies(config).items()]
     inside = [innermost(controller), *reversed(layers(controller))]
     for place, layer in enumerate(inside):
-        flies = in_operations(layer) and goes_in_c(layer)
-        if flies and not any(o.kind == "python" for o in layer.running.instant.operations):
+        flies = in_calls(layer) and goes_in_c(layer)
+        if flies and not any(o.kind == "python" for o in layer.running.control_step.calls):
             continue
         name = f"controller={config.controller.name}"
         if place:
-            own = getattr(getattr(layer, "part", None), "prefix", "").rstrip(".")
-            name = next((text for text in around if own and text.startswith(f"{own}=")), ", ".join(around))
+            prefix = getattr(getattr(layer, "part", None), "prefix", "").rstrip(".")
+            name = next((text for text in around if prefix and text.startswith(f"{prefix}=")), ", ".join(around))
         raise UsageError(f"export-controller: {name} decides or learns in Python, and has no form in C to be exported")
 
 
@@ -112,26 +112,26 @@ def folder_of(
     start = start_function(controller, "begin")
     check_start(controller, *start, window)
     controller.reset(window.state[0] if len(window.state) else reference.at(0)[0], window)
-    made = generate.program(controller, names, start, hover_thrusts(controller))
+    exported = generate.program(controller, names, start, hover_thrusts(controller))
     about = description(config, controller, names)
-    functions = [function for _, function in generate.functions_of(made).values()]
+    functions = [function for _, function in generate.functions_of(exported).values()]
     functions += [start[0]] if start[0] is not None else []
     files: dict[str, str | bytes] = {
-        "controller.h": generate.controller_h(made, about, len(reference)),
-        "controller.c": generate.controller_c(made),
-        "model.c": generate.model_c(made, functions),
+        "controller.h": generate.controller_h(exported, about, len(reference)),
+        "controller.c": generate.controller_c(exported),
+        "model.c": generate.model_c(exported, functions),
         "real.h": generate.real_h(names),
-        "table.c": generate.table_c(made, reference),
+        "table.c": generate.table_c(exported, reference),
     }
     texts = [generate.HERE / name for name in ("vehicle.c", "reference.c", "check.c")]
     texts += generate.KERNELS[:1]
-    if made.plan is not None:
-        files |= {"mpc.c": generate.mpc_c(made), "node.c": generate.node_c(made)}
+    if exported.plan is not None:
+        files |= {"mpc.c": generate.mpc_c(exported), "node.c": generate.node_c(exported)}
         texts += generate.KERNELS[1:]
     files |= {text.name: text.read_text(encoding="utf-8") for text in texts}
-    files |= checked_files(made, controller, plant, reference, flight)
-    files |= build_files(made, list(files))
-    files["README.md"] = readme(made, about, flight, files)
+    files |= checked_files(exported, controller, plant, reference, flight)
+    files |= build_files(exported, list(files))
+    files["README.md"] = readme(exported, about, flight, files)
     files |= manifest(config, controller, names, files)
     return files
 
@@ -145,14 +145,14 @@ def hover_thrusts(controller: Any) -> np.ndarray:
 
 def learns(controller: Any) -> bool:
     """Whether it remembers its own commands: then a replay is not what it would have done."""
-    return any("sent" in memory.sizes for memory in controller.running.instant.memory)
+    return any("sent" in memory.sizes for memory in controller.running.control_step.memory)
 
 
 def checked_files(
-    made: generate.Program, controller: Any, plant: Any, reference: SampledReference, flight: Recorder
+    exported: generate.Program, controller: Any, plant: Any, reference: SampledReference, flight: Recorder
 ) -> dict[str, str | bytes]:
     """The recorded flight, the plant, and what is to be met."""
-    names = made.names
+    names = exported.names
     precision = np.dtype("<f8" if names.real == "double" else "<f4")
     files: dict[str, str | bytes] = {"vectors.bin": np.array(flight.rows).astype(precision).tobytes()}
     P, p = names.upper, names.prefix
@@ -168,7 +168,7 @@ def checked_files(
         flown = np.array([reference.at(0)[0][:3], *flight.positions])[:steps]
         error = float(np.linalg.norm(flown - along, axis=1).mean())
         rows += plant_lines(function, period.arguments, plant, len(flight.first))
-        sums = any(operation.kind == "gather" for operation in made.operations)
+        sums = any(entry.kind == "gather" for entry in exported.calls)
         limit = max(PATHS[names.real], SUMMED * sums)
         rows += [f"#define PATH_LIMIT {limit!r} /* m */", f"#define ERROR_SHARE {ERRORS[names.real]!r}"]
         rows += [f"#define MEAN_ERROR {error!r} /* m */"]
@@ -201,9 +201,9 @@ def plant_lines(function: ca.Function, arguments: Mapping[str, np.ndarray], plan
     for i, name in enumerate(function.name_out()):
         points.append(f"left[{i}] = {places.get(name, f'spare + {spare}')};")
         spare += 0 if name in places else function.nnz_out(i)
-    told, results = first - inner, function.sz_res()
+    measured, results = first - inner, function.sz_res()
     return [
-        f"enum {{ INNER = {inner}, TOLD = {told}, TURNS = {int(bool(rotors))}, PLANT_CONTEXT = {at} }};",
+        f"enum {{ INNER = {inner}, TOLD = {measured}, TURNS = {int(bool(rotors))}, PLANT_CONTEXT = {at} }};",
         f"enum {{ PLANT_SPARE = {spare}, PLANT_ARGUMENTS = {function.sz_arg()}, PLANT_RESULTS = {results} }};",
         f"enum {{ PLANT_W = {function.sz_w()}, PLANT_IW = {function.sz_iw()} }};",
         "#define PLANT_INTEGER long long",
@@ -224,33 +224,33 @@ def description(config: Config, controller: Any, names: generate.Names) -> list[
     ]
 
 
-def build_files(made: generate.Program, files: Sequence[str]) -> dict[str, str]:
+def build_files(exported: generate.Program, files: Sequence[str]) -> dict[str, str]:
     """Makefile and CMakeLists.txt."""
     sources = [name for name in ("controller.c", "model.c", "mpc.c", "node.c", "table.c") if name in files]
     plant = "plant.c" if "plant.c" in files else ""
     texts = {
         name: (generate.HERE / f"{name}.in").read_text(encoding="utf-8") for name in ("Makefile", "CMakeLists.txt")
     }
-    values = {"@SOURCES@": " ".join(sources), "@PLANT@": plant, "@NAME@": made.names.prefix}
+    values = {"@SOURCES@": " ".join(sources), "@PLANT@": plant, "@NAME@": exported.names.prefix}
     for name in texts:
         for key, value in values.items():
             texts[name] = texts[name].replace(key, value)
     return texts
 
 
-def readme(made: generate.Program, about: Sequence[str], flight: Recorder, files: Mapping[str, Any]) -> str:
+def readme(exported: generate.Program, about: Sequence[str], flight: Recorder, files: Mapping[str, Any]) -> str:
     """What the folder is, how it is used, and its limits."""
     text = (generate.HERE / "README.md.in").read_text(encoding="utf-8")
-    bytes_of = 8 if made.names.real == "double" else 4
-    sizes = {name: len(made.arrays.contents(name)) for name in ("ram", "numbers", "rom")}
+    bytes_of = 8 if exported.names.real == "double" else 4
+    sizes = {name: len(exported.arrays.contents(name)) for name in ("ram", "numbers", "rom")}
     values = {
         "@ABOUT@": "\n".join(f"    {line}" for line in about),
-        "@PREFIX@": made.names.prefix,
-        "@UPPER@": made.names.upper,
-        "@PERIOD@": f"{made.controller.control_period:g}",
+        "@PREFIX@": exported.names.prefix,
+        "@UPPER@": exported.names.upper,
+        "@PERIOD@": f"{exported.controller.control_period:g}",
         "@SIZES@": ", ".join(f"{name} {bytes_of * size / 1000:.1f} kB" for name, size in sizes.items()),
         "@STEPS@": str(len(flight.rows)),
-        "@CHANGEABLE@": ", ".join(name for name, _ in generate.changeable(made)) or "nothing",
+        "@CHANGEABLE@": ", ".join(name for name, _ in generate.changeable(exported)) or "nothing",
     }
     for key, value in values.items():
         text = text.replace(key, value)
@@ -262,7 +262,7 @@ def manifest(
 ) -> dict[str, str | bytes]:
     """What the bench needs to fly the folder: settings, versions, the hash of every file; and the model of the air of
     its references."""
-    residual, plan = controller.residual, controller.running.instant.plan
+    residual, plan = controller.residual, controller.running.control_step.plan
     air: dict[str, Any] = {}
     if residual is not None:
         air = {"name": residual.name, "source": residual.source, "theta": residual.theta.tolist()}
@@ -278,7 +278,7 @@ def manifest(
         "period": controller.control_period,
         "node_times": [float(t) for t in controller.node_times],
         "states": 0 if plan is None else plan.mpc.step.form.states,
-        "knows": controller.name,
+        "knows": controller.residual_name,
         "source": controller.source,
         "air": air,
         "versions": versions(),

@@ -20,9 +20,9 @@ from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
 from quadexp.control.part import ControllerPart
 from quadexp.errors import DataError, QuadexpError
+from quadexp.models.build_context import BuildContext
 from quadexp.models.residual import Residual
 from quadexp.names import sha256_of
-from quadexp.parts.part import Given
 from quadexp.parts.settings import keyed
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.vehicle.export import FORMAT, MANIFEST
@@ -49,9 +49,9 @@ class Exported(ControllerPart):
         """See Part."""
         return ()
 
-    def build(self, given: Given) -> ExportedController:
+    def build(self, context: BuildContext) -> ExportedController:
         """See ControllerPart. Raises DataError for a folder that was changed, or is of another vehicle."""
-        return ExportedController(Path(given.folder), given.vehicle)
+        return ExportedController(Path(context.folder), context.vehicle)
 
 
 class ExportedController:
@@ -62,17 +62,17 @@ class ExportedController:
     def __init__(self, folder: Path, vehicle: Vehicle) -> None:
         self.folder, self.vehicle = folder, vehicle
         self.about = manifest_of(folder)
-        told = self.about["vehicle"]
-        if told["fingerprint"] != vehicle.fingerprint:
+        stated = self.about["vehicle"]
+        if stated["fingerprint"] != vehicle.fingerprint:
             raise DataError(
-                f"{folder}: exported for vehicle '{told['name']}' ({told['fingerprint']}), not for '{vehicle.name}'"
+                f"{folder}: exported for vehicle '{stated['name']}' ({stated['fingerprint']}), not for '{vehicle.name}'"
                 f" ({vehicle.fingerprint})"
             )
         resolve("compiled")  # raises without a compiler
         self.backend = "compiled"
         self.control_period: float = self.about["period"]
         self.node_times = np.array(self.about["node_times"])
-        self.name, self.source = self.about["knows"], self.about["source"]
+        self.residual_name, self.source = self.about["knows"], self.about["source"]
         self.residual = residual_of(self.about["air"])
         self._real = np.dtype("f8" if self.about["real"] == "double" else "f4")
         self._library = loaded(folder, self)
@@ -96,7 +96,7 @@ class ExportedController:
         if self._real == np.float32:  # a limit in single precision may lie beyond the rotor's
             thrusts = np.clip(thrusts, self.vehicle.thrust_min, self.vehicle.thrust_max)
         limited = int(((thrusts <= self.vehicle.thrust_min) | (thrusts >= self.vehicle.thrust_max)).sum())
-        status = Status.RICCATI if answer == OK else Status.FAILED
+        status = Status.OK if answer == OK else Status.FAILED
         return thrusts, StepRecord(0.0, status, 0, limited, 0.0)
 
     def log(self) -> dict[str, float]:

@@ -1,6 +1,6 @@
 """The C of one controller: its tables, its functions, and what stands around the C of the bench.
 
-    controller.h/.c   arrays and the table of operations, around loop.c and vehicle.c
+    controller.h/.c   arrays and the table of calls, around loop.c and vehicle.c
     model.c           functions of the layers; node.c: those of a node of the MPC
     mpc.c             the MPC's step, around stages.c and what that includes
     real.h            precision and names
@@ -22,7 +22,7 @@ import numpy as np
 import quadexp.control.compiled_loop as compiled_loop
 import quadexp.control.mpc.stages as stages
 from quadexp.compile.symbolic import ca
-from quadexp.control.instant import Operation
+from quadexp.control.control_step import Call
 from quadexp.control.mpc.mpc import MAX_TURN, PLAIN_ITERATIONS, TOLERANCE
 from quadexp.experiment.rollout import SampledReference
 from quadexp.physics.state import N_STATE, RATE
@@ -88,12 +88,12 @@ class Names(NamedTuple):
 
 
 class Program(NamedTuple):
-    """A controller as C. operations: all of them. command: where they leave it. plan: a PredictiveController, or None.
+    """A controller as C. calls: all of them. command: where they leave it. plan: a PredictiveController, or None.
     start: see start.py. rows: of a window; shape of its inputs. hover: thrusts, (n,) (N)."""
 
     names: Names
     controller: Any
-    operations: Sequence[Operation]
+    calls: Sequence[Call]
     command: np.ndarray
     plan: Any
     start: tuple[ca.Function | None, list[np.ndarray]]
@@ -105,28 +105,28 @@ class Program(NamedTuple):
 def program(controller: Any, names: Names, start: tuple[ca.Function | None, list[np.ndarray]], hover: Any) -> Program:
     """The arrays of a controller, after a reset."""
     running, arrays = controller.running, Arrays()
-    instant, told = running.instant, running.told
+    instant, inputs = running.control_step, running.inputs
     own = None if instant.plan is None else instant.plan.mpc
-    kept = None if own is None or is_read(own.memory.now, instant.operations) else own
-    operations = [one for one in instant.operations if kept is None or not keeps_solution(kept, one)]
-    for name in ("state", "force", "speed", "path", "yaw", "fresh"):
-        arrays.add(getattr(told, name), written=True, cleared=True)
+    kept = None if own is None or is_read(own.memory.now, instant.calls) else own
+    calls = [one for one in instant.calls if kept is None or not keeps_solution(kept, one)]
+    for name in ("state", "specific_force", "rotor_speed", "path", "yaw", "fresh"):
+        arrays.add(getattr(inputs, name), written=True, cleared=True)
     for memory in instant.memory:
         if kept is not None and memory is kept.memory:
             continue
         for now, after in memory.pairs:
             arrays.add_all((now, after), written=True, cleared=True)
         arrays.add(memory.now, written=True, cleared=True)
-    for operation in operations:
-        window = operation.kind == "window"
-        arrays.add(operation.to, written=True, cleared=window)
-        arrays.add(operation.other, written=True, cleared=window)
-        arrays.add(operation.source)
-        arrays.add(operation.when)
-        if operation.function is not None:
-            for name, array in operation.function.arguments.items():
+    for entry in calls:
+        window = entry.kind == "window"
+        arrays.add(entry.to, written=True, cleared=window)
+        arrays.add(entry.other, written=True, cleared=window)
+        arrays.add(entry.source)
+        arrays.add(entry.when)
+        if entry.function is not None:
+            for name, array in entry.function.arguments.items():
                 arrays.add(array, changed=name in CHANGEABLE)
-            arrays.add_all(operation.function.results.values(), written=True, cleared=True)
+            arrays.add_all(entry.function.results.values(), written=True, cleared=True)
     if instant.plan is not None:
         mpc = instant.plan.mpc
         solved = ("x0", "X", "U", "X_ref", "U_ref", "guess")
@@ -141,39 +141,37 @@ def program(controller: Any, names: Names, start: tuple[ca.Function | None, list
     arrays.add(instant.command, written=True)
     arrays.lay_out()
     rows = len(controller.node_times)
-    return Program(names, controller, operations, instant.command, instant.plan, start, rows, hover, arrays)
+    return Program(names, controller, calls, instant.command, instant.plan, start, rows, hover, arrays)
 
 
-def is_read(array: np.ndarray, operations: Iterable[Operation]) -> bool:
-    """Whether an operation reads any of an array."""
+def is_read(array: np.ndarray, calls: Iterable[Call]) -> bool:
+    """Whether an call reads any of an array."""
     first, end = span(array)
-    read = [
-        one for o in operations for one in (o.source, o.when, *(o.function.arguments.values() if o.function else ()))
-    ]
+    read = [one for o in calls for one in (o.source, o.when, *(o.function.arguments.values() if o.function else ()))]
     return any(first <= one.ctypes.data < end for one in read if one is not None)
 
 
-def keeps_solution(mpc: Any, operation: Operation) -> bool:
-    """Whether an operation only keeps the MPC's solution, which C has in one place: Python can go back to it."""
+def keeps_solution(mpc: Any, entry: Call) -> bool:
+    """Whether an call only keeps the MPC's solution, which C has in one place: Python can go back to it."""
     solution = [mpc.step.arguments[name].ctypes.data for name in ("X", "U", "guess")]
-    return operation.kind == "commit" and operation.source is not None and operation.source.ctypes.data in solution
+    return entry.kind == "commit" and entry.source is not None and entry.source.ctypes.data in solution
 
 
-def functions_of(made: Program) -> dict[int, tuple[str, ca.Function]]:
-    """What its operations call, by the id of the compiled function: a name in C, and the function that was compiled."""
-    found = dict[int, tuple[str, ca.Function]]()
+def functions_of(exported: Program) -> dict[int, tuple[str, ca.Function]]:
+    """What its calls call, by the id of the compiled function: a name in C, and the function that was compiled."""
+    functions = dict[int, tuple[str, ca.Function]]()
     taken = set[str]()
-    for operation in made.operations:
-        if operation.function is None or id(operation.function.function) in found:
+    for entry in exported.calls:
+        if entry.function is None or id(entry.function.function) in functions:
             continue
-        origin: Any = getattr(operation.function.function, "origin", operation.function.function)
+        origin: Any = getattr(entry.function.function, "origin", entry.function.function)
         name = f"{origin.name()}_{len(taken)}" if origin.name() in taken else origin.name()
         if name != origin.name():
             symbols = origin.mx_in()
             origin = ca.Function(name, symbols, origin.call(symbols), origin.name_in(), origin.name_out())
         taken.add(name)
-        found[id(operation.function.function)] = name, origin
-    return found
+        functions[id(entry.function.function)] = name, origin
+    return functions
 
 
 # --------------------------------------------------------------------------------------------------------- small files
@@ -197,31 +195,31 @@ def in_precision(source: str, names: Names) -> str:
     return LITERAL.sub(r"\1f", source) if names.real == "float" else source
 
 
-def model_c(made: Program, functions: Sequence[ca.Function]) -> str:
+def model_c(exported: Program, functions: Sequence[ca.Function]) -> str:
     """The functions of the layers."""
-    names = made.names
+    names = exported.names
     generator = ca.CodeGenerator(f"{names.prefix}_model", {"with_header": False})
-    called: list[Any] = [one.function for one in made.operations if hasattr(one.function, "source")]
-    written = {one.function.name(): one.source for one in called}  # C by hand
+    called: list[Any] = [entry.function for entry in exported.calls if hasattr(entry.function, "source")]
+    written = {entry.function.name(): entry.source for entry in called}  # C by hand
     for function in functions:
         if function.name() not in written:
             generator.add(function)
-    renamed = "".join(f"#define {one.name()} {names.prefix}_{one.name()}\n" for one in functions)
+    renamed = "".join(f"#define {entry.name()} {names.prefix}_{entry.name()}\n" for entry in functions)
     body = in_precision(generator.dump(), names) if functions else ""
     by_hand = "\n".join(dict.fromkeys(written.values()))  # several functions may be of one text
     return f'#include "real.h"\n{QUIET}{renamed}{body}{in_precision(by_hand, names)}'
 
 
-def node_c(made: Program) -> str:
+def node_c(exported: Program) -> str:
     """The functions of a node of the MPC."""
-    mpc = made.plan.mpc
+    mpc = exported.plan.mpc
     functions = stages.node_functions(mpc.vehicle, mpc.residual, mpc.step.form)
-    return f'#include "real.h"\n{QUIET}{in_precision(stages.node_source(functions), made.names)}'
+    return f'#include "real.h"\n{QUIET}{in_precision(stages.node_source(functions), exported.names)}'
 
 
-def mpc_c(made: Program) -> str:
+def mpc_c(exported: Program) -> str:
     """The MPC's step; its work is as long as the longest of its phases needs."""
-    mpc = made.plan.mpc
+    mpc = exported.plan.mpc
     functions = stages.node_functions(mpc.vehicle, mpc.residual, mpc.step.form)
     nodes, node_memory = len(mpc.step.arguments["U"]), max(function.sz_w() for function in functions)
     return (
@@ -232,14 +230,14 @@ def mpc_c(made: Program) -> str:
     )
 
 
-def controller_h(made: Program, about: Sequence[str], instants: int) -> str:
+def controller_h(exported: Program, about: Sequence[str], instants: int) -> str:
     """What the program around it includes. about: lines that say what it is. instants: of the recorded reference."""
-    names, controller = made.names, made.controller
+    names, controller = exported.names, exported.controller
     p, P = names.prefix, names.upper
     times = ", ".join(f"{t:.6g}" for t in controller.node_times)
     places = []
-    for name, array in changeable(made):
-        places.append(f"#define {P}_{name} {made.arrays.place(array)[1]} /* {array.size} numbers */")
+    for name, array in changeable(exported):
+        places.append(f"#define {P}_{name} {exported.arrays.place(array)[1]} /* {array.size} numbers */")
     said = "\n".join(f"   {line}" for line in about)
     changed = "\n".join(places) or "/* none */"
     return f"""/* A controller of quadexp.
@@ -253,7 +251,8 @@ extern "C" {{
 #endif
 
 typedef {names.real} {p}_real;
-enum {{ {P}_ROTORS = {controller.vehicle.n_rotors}, {P}_ROWS = {made.rows}, {P}_INPUTS = {max(made.rows - 1, 1)} }};
+enum {{ {P}_ROTORS = {controller.vehicle.n_rotors}, {P}_ROWS = {exported.rows},
+       {P}_INPUTS = {max(exported.rows - 1, 1)} }};
 #define {P}_PERIOD {controller.control_period!r} /* s, between two steps */
 
 /* The reference from now on: states (position, quaternion, velocity, body rate) and thrusts (N) at the node times; now:
@@ -297,16 +296,16 @@ int {p}_flat({p}_window *window, const {p}_output outputs[{P}_ROWS + 1]);
 """
 
 
-def table_c(made: Program, reference: SampledReference) -> str:
+def table_c(exported: Program, reference: SampledReference) -> str:
     """The reference that is exported, a row an instant of its grid, with what each window takes of it."""
-    names, controller = made.names, made.controller
+    names, controller = exported.names, exported.controller
     p, P, n = names.prefix, names.upper, controller.vehicle.n_rotors
     states, inputs, where = reference.horizons()
     paths, yaws = reference.path()
-    told = [span(array)[0] for array in (controller.running.told.path, controller.running.told.yaw)]
-    called = [operation.function for operation in made.operations if operation.function is not None]
+    starts = [span(array)[0] for array in (controller.running.inputs.path, controller.running.inputs.yaw)]
+    called = [entry.function for entry in exported.calls if entry.function is not None]
     reads = {array.ctypes.data for function in called for array in function.arguments.values()}
-    looks = any(first <= place < first + 120 for first in told for place in reads)
+    looks = any(first <= place < first + 120 for first in starts for place in reads)
     grid = np.column_stack([states, inputs])
     follow = np.column_stack([paths.reshape(len(paths), -1), yaws]) if looks else np.zeros((1, 1))
     rows = [("grid", grid, f"{N_STATE + n}"), ("follow", follow, f"{follow.shape[1]}")]
@@ -331,47 +330,47 @@ def table_c(made: Program, reference: SampledReference) -> str:
     return "\n".join(lines) + "\n"
 
 
-def changeable(made: Program) -> list[tuple[str, np.ndarray]]:
+def changeable(exported: Program) -> list[tuple[str, np.ndarray]]:
     """Name and array of what a user may change, each once."""
-    found = dict[str, np.ndarray]()
+    values = dict[str, np.ndarray]()
     seen = set[int]()
-    arguments = [operation.function.arguments for operation in made.operations if operation.function is not None]
-    if made.plan is not None:
-        arguments.insert(0, made.plan.mpc.step.arguments)
-    for given in arguments:
-        for name, array in given.items():
+    arguments = [entry.function.arguments for entry in exported.calls if entry.function is not None]
+    if exported.plan is not None:
+        arguments.insert(0, exported.plan.mpc.step.arguments)
+    for argument in arguments:
+        for name, array in argument.items():
             known = name not in CHANGEABLE or not array.size or array.ctypes.data in seen
-            if known or made.arrays.place(array)[0] != "numbers":
+            if known or exported.arrays.place(array)[0] != "numbers":
                 continue
             seen.add(array.ctypes.data)
-            found[f"{name}_{len(found)}" if name in found else name] = array
-    return list(found.items())
+            values[f"{name}_{len(values)}" if name in values else name] = array
+    return list(values.items())
 
 
 # ------------------------------------------------------------------------------------------------------- the controller
-def controller_c(made: Program) -> str:
-    """Arrays, functions and operations of a controller, around loop.c and vehicle.c."""
-    names, arrays, vehicle = made.names, made.arrays, made.controller.vehicle
-    functions = functions_of(made)
+def controller_c(exported: Program) -> str:
+    """Arrays, functions and calls of a controller, around loop.c and vehicle.c."""
+    names, arrays, vehicle = exported.names, exported.arrays, exported.controller.vehicle
+    functions = functions_of(exported)
     image = arrays.contents("ram")
     used = np.flatnonzero(image)
     begins = image[: used[-1] + 1] if used.size else image[:0]
     called = [function for _, function in functions.values()]
-    called += [made.start[0]] if made.start[0] is not None else []
+    called += [exported.start[0]] if exported.start[0] is not None else []
     work = max([1, *(function.sz_w() for function in called)])
     places = max([1, *(function.sz_iw() for function in called)])
-    lines = ['#include "real.h"', "#define ALONE", *(["#define NO_PLAN"] if made.plan is None else [])]
+    lines = ['#include "real.h"', "#define ALONE", *(["#define NO_PLAN"] if exported.plan is None else [])]
     lines += ['#include "controller.h"', '#include "loop.c"', ""]
     lines += [f"#define QX(name) {names.prefix}_##name", f"typedef {names.prefix}_window window;"]
-    lines += [f"enum {{ ROTORS = {vehicle.n_rotors}, ROWS = {made.rows}, RAM = {max(len(image), 1)} }};"]
-    lines += [f"enum {{ IMAGE = {len(begins)}, ROUND = {math.lcm(*(o.every for o in made.operations))} }};"]
+    lines += [f"enum {{ ROTORS = {vehicle.n_rotors}, ROWS = {exported.rows}, RAM = {max(len(image), 1)} }};"]
+    lines += [f"enum {{ IMAGE = {len(begins)}, ROUND = {math.lcm(*(o.every for o in exported.calls))} }};"]
     lines += ["static real ram[RAM];"]
     lines += [f"static real w[{work}];", f"static integer iw[{places}];"] if called else []
     lines += [f"static real numbers[] = {{{names.literals(arrays.contents('numbers'))}}};"]
     if len(arrays.contents("rom")):
         lines += [f"static const real rom[] = {{{names.literals(arrays.contents('rom'))}}};"]
     lines += [f"static const real image[] = {{{names.literals(begins)}}};"]
-    lines += [f"static const real hover[] = {{{names.literals(made.hover)}}};"]
+    lines += [f"static const real hover[] = {{{names.literals(exported.hover)}}};"]
     inertia = "}, {".join(names.literals(row) for row in vehicle.inertia_matrix)
     mixer = "}, {".join(names.literals(row) for row in np.linalg.pinv(vehicle.allocation))
     lines += [f"static const real inertia[3][3] = {{{{{inertia}}}}}, allocation[ROTORS][4] = {{{{{mixer}}}}};"]
@@ -379,12 +378,12 @@ def controller_c(made: Program) -> str:
     low, high = names.literal(vehicle.thrust_min), names.literal(vehicle.thrust_max)
     lines += [f"static const real thrust_min = {low}, thrust_max = {high}; /* N */", ""]
     lines += [line for name, function in functions.values() for line in declared(names, name)]
-    lines += [line for i, o in enumerate(made.operations) if o.function for line in called_by(made, i, o, functions)]
-    lines += plan_lines(made)
-    lines += ["static const operation operations[] = {"]
-    lines += [f"    {{{row(made, i, operation)}}}," for i, operation in enumerate(made.operations)]
-    lines += ["};", loop_line(made), *start_lines(made)]
-    lines += [f"static const real *const command_now = {arrays.at(made.command)};", "", '#include "vehicle.c"']
+    lines += [line for i, o in enumerate(exported.calls) if o.function for line in called_by(exported, i, o, functions)]
+    lines += plan_lines(exported)
+    lines += ["static const step_call calls[] = {"]
+    lines += [f"    {{{row(exported, i, entry)}}}," for i, entry in enumerate(exported.calls)]
+    lines += ["};", loop_line(exported), *start_lines(exported)]
+    lines += [f"static const real *const command_now = {arrays.at(exported.command)};", "", '#include "vehicle.c"']
     lines += ['#include "reference.c"']
     return "\n".join(lines) + "\n"
 
@@ -394,30 +393,35 @@ def declared(names: Names, name: str) -> list[str]:
     return [f"int {names.prefix}_{name}(const real **, real **, integer *, real *, int);"]
 
 
-def called_by(made: Program, index: int, o: Operation, functions: dict[int, tuple[str, ca.Function]]) -> list[str]:
-    """The function of an operation with the places of its arguments and results; the generated one needs longer arrays
+def called_by(exported: Program, index: int, o: Call, functions: dict[int, tuple[str, ca.Function]]) -> list[str]:
+    """The function of an call with the places of its arguments and results; the generated one needs longer arrays
     of pointers than these."""
     function: Any = o.function
     name, code = functions[id(function.function)]
-    given = [made.arrays.at(array) for array in function.arguments.values()]
-    left = [made.arrays.at(array) for array in function.results.values()]
-    given += ["0"] * (code.sz_arg() - len(given))
-    left += ["0"] * (code.sz_res() - len(left))
+    argument_places = [exported.arrays.at(array) for array in function.arguments.values()]
+    result_places = [exported.arrays.at(array) for array in function.results.values()]
+    argument_places += ["0"] * (code.sz_arg() - len(argument_places))
+    result_places += ["0"] * (code.sz_res() - len(result_places))
     return [
-        f"static const real *given{index}[] = {{{', '.join(given) or '0'}}};",
-        f"static real *left{index}[] = {{{', '.join(left) or '0'}}};",
-        f"static const function call{index} = {{{made.names.prefix}_{name}, given{index}, left{index}, iw, w}};",
+        f"static const real *given{index}[] = {{{', '.join(argument_places) or '0'}}};",
+        f"static real *left{index}[] = {{{', '.join(result_places) or '0'}}};",
+        f"static const function call{index} = {{{exported.names.prefix}_{name}, given{index}, left{index}, iw, w}};",
     ]
 
 
-def row(made: Program, index: int, o: Operation) -> str:
-    """An operation, as compiled_loop.py tells it to C."""
-    at, counted = made.arrays.at, o.to if o.to is not None else o.source
+def row(exported: Program, index: int, o: Call) -> str:
+    """An call, as compiled_loop.py tells it to C."""
+    at, counted = exported.arrays.at, o.to if o.to is not None else o.source
     window, count = o.kind == "window", 0
     if counted is not None:
         count = counted.strides[0] // 8 if window else counted.size
     factor = float(len(o.source)) if window and o.source is not None else o.factor
-    fields = {"kind": o.kind.upper(), "every": str(o.every), "count": str(count), "factor": made.names.literal(factor)}
+    fields = {
+        "kind": o.kind.upper(),
+        "every": str(o.every),
+        "count": str(count),
+        "factor": exported.names.literal(factor),
+    }
     fields |= {"to": at(o.to), "other": at(o.other), "source": at(o.source), "when": at(o.when)}
     fields["next"] = at(o.source) if o.kind == "commit" else "0"
     if o.kind == "gather" and o.source is not None:
@@ -426,18 +430,18 @@ def row(made: Program, index: int, o: Operation) -> str:
     return ", ".join(f".{name} = {value}" for name, value in fields.items() if value != "0")
 
 
-def plan_lines(made: Program) -> list[str]:
+def plan_lines(exported: Program) -> list[str]:
     """The MPC's step, with the arrays that it reads and leaves."""
-    if made.plan is None:
+    if exported.plan is None:
         return []
-    mpc, at, names = made.plan.mpc, made.arrays.at, made.names
+    mpc, at, names = exported.plan.mpc, exported.arrays.at, exported.names
     step = mpc.step
     nodes, inputs = step.arguments["U"].shape
-    given = [at(array) for array in step.arguments.values()]
-    left = [at(array) for array in step.results.values()]
+    argument_places = [at(array) for array in step.arguments.values()]
+    result_places = [at(array) for array in step.results.values()]
     arrays = {name: step.arguments[name] for name in ("x0", "X_ref", "X", "U", "guess")}
     solved = ("checks", "X_new", "U_new", "X_lin", "U_lin", "bounded_checks", "bounded_X", "bounded_U", "side")
-    arrays |= {name: step.results[name] for name in solved} | {"unprepared": made.plan.unprepared}
+    arrays |= {name: step.results[name] for name in solved} | {"unprepared": exported.plan.unprepared}
     fields = {name: f"{{{name_of}, plan_given, plan_left, plan_sizes, mpc_work}}" for name, name_of in PHASES.items()}
     fields |= {"states": str(step.form.states), "inputs": str(inputs), "nodes": str(nodes)}
     fields |= {"reference_rows": str(len(step.arguments["X_ref"]))}
@@ -450,8 +454,8 @@ def plan_lines(made: Program) -> list[str]:
     return [
         *(f"int {phase}(const real **, real **, integer *, real *, int);" for phase in PHASES.values()),
         "extern real mpc_work[];",
-        f"static const real *plan_given[] = {{{', '.join(given)}}};",
-        f"static real *plan_left[] = {{{', '.join(left)}}};",
+        f"static const real *plan_given[] = {{{', '.join(argument_places)}}};",
+        f"static real *plan_left[] = {{{', '.join(result_places)}}};",
         f"static integer plan_sizes[] = {{{nodes}, {step.form.parameters}}};",
         f"enum {{ NODES = {nodes}, SAMPLES = {step.form.samples}, FULL_STEPS = {steps} }};",
         f"static real *const the_shift = {at(step.arguments['shift'])};",
@@ -463,30 +467,30 @@ def plan_lines(made: Program) -> list[str]:
 PHASES = {"prepare": "mpc_prepare", "feedback": "mpc_feedback", "bounded": "mpc_bounded"}
 
 
-def loop_line(made: Program) -> str:
+def loop_line(exported: Program) -> str:
     """What `control` of loop.c is given."""
-    told = made.controller.running.told
-    names = ("state", "force", "speed", "path", "yaw", "read", "turning")
-    fields = {"operations": "operations", "operations_size": str(len(made.operations))}
-    fields |= {"inputs": "ROTORS", "plan": "&the_plan" if made.plan is not None else "0"}
-    fields |= {name: made.arrays.at(getattr(told, name)) for name in names}
-    fields["period"] = made.names.literal(made.controller.control_period)
+    inputs = exported.controller.running.inputs
+    names = ("state", "specific_force", "rotor_speed", "path", "yaw", "accelerometer_valid", "rotor_speed_valid")
+    fields = {"calls": "calls", "calls_size": str(len(exported.calls))}
+    fields |= {"inputs": "ROTORS", "plan": "&the_plan" if exported.plan is not None else "0"}
+    fields |= {name: exported.arrays.at(getattr(inputs, name)) for name in names}
+    fields["period"] = exported.names.literal(exported.controller.control_period)
     return "static const loop the_loop = {" + ", ".join(f".{name} = {value}" for name, value in fields.items()) + "};"
 
 
-def start_lines(made: Program) -> list[str]:
+def start_lines(exported: Program) -> list[str]:
     """The function that leaves what is remembered as a flight begins."""
-    function, places = made.start
+    function, places = exported.start
     head = "static void start(const real *state, const real *thrust) {"
     if function is None:
         return [head, "    (void)state, (void)thrust;", "}"]
-    name = f"{made.names.prefix}_{function.name()}"
-    left = [made.arrays.at(array) for array in places] + ["0"] * (function.sz_res() - len(places))
+    name = f"{exported.names.prefix}_{function.name()}"
+    result_places = [exported.arrays.at(array) for array in places] + ["0"] * (function.sz_res() - len(places))
     return [
         f"int {name}(const real **, real **, integer *, real *, int);",
         head,
         f"    const real *given[{max(function.sz_arg(), 2)}] = {{state, thrust}};",
-        f"    real *left[] = {{{', '.join(left)}}};",
+        f"    real *left[] = {{{', '.join(result_places)}}};",
         f"    (void){name}(given, left, iw, w, 0);",
         "}",
     ]

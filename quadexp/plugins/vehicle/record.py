@@ -1,4 +1,4 @@
-"""A flight of the bench, recorded so that C can make it again: what the controller is told and answers, and the plant.
+"""A flight of the bench, recorded so that C can make it again: what the controller is given and answers, and the plant.
 
 Vectors have a row a control instant, in the precision of the controller; a reading that is missing is not a number. The
 plant's row has every argument of its compiled period but state, inner states and thrusts, so that C can close the loop.
@@ -13,7 +13,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.control.base import Measurement, Window
-from quadexp.control.instant import stepped
+from quadexp.control.control_step import stepped
 from quadexp.control.mpc.active_set import Status
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.world.integrator import SimulatedPlant
@@ -70,8 +70,8 @@ class Recorder:
             if period.results["doubt"].any():
                 self.contexts = None
                 return
-        given = period.arguments.items()
-        self._pending = {name: array.copy() for name, array in given if name not in OF_LOOP}
+        arguments = period.arguments.items()
+        self._pending = {name: array.copy() for name, array in arguments if name not in OF_LOOP}
 
 
 def compiled_period(plant: Any, duration: float) -> BufferedFunction | None:
@@ -86,8 +86,8 @@ def vector(measurement: Measurement, window: Window, thrusts: np.ndarray, status
     """A row: state, window, force, speed, command, status."""
     force, speed = measurement.specific_force, measurement.rotor_speed
     missing = np.full(3, np.nan), np.full(len(thrusts), np.nan)
-    told = missing[0] if force is None else force, missing[1] if speed is None else speed
-    return np.concatenate([measurement.state, packed(window, len(thrusts)), *told, thrusts, [status]])
+    readings = missing[0] if force is None else force, missing[1] if speed is None else speed
+    return np.concatenate([measurement.state, packed(window, len(thrusts)), *readings, thrusts, [status]])
 
 
 def packed(window: Window, rotors: int) -> np.ndarray:

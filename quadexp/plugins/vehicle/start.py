@@ -16,8 +16,8 @@ import numpy as np
 from quadexp.compile.memory import Memory
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Window
+from quadexp.control.control_step import in_calls
 from quadexp.control.inputs import Inputs, at_start
-from quadexp.control.instant import in_operations
 from quadexp.control.laws.explicit import ExplicitController
 from quadexp.control.layer import Layer
 from quadexp.control.mpc.controller import PredictiveController
@@ -59,22 +59,24 @@ def check_start(controller: Any, function: ca.Function | None, places: list[np.n
     Raises QuadexpError where they differ.
     """
     vehicle, rng = controller.vehicle, np.random.default_rng(0)
-    own = getattr(getattr(innermost(controller), "mpc", None), "memory", None)
+    planned = getattr(getattr(innermost(controller), "mpc", None), "memory", None)
     for _ in range(TRIALS):
         x = window.state[0] + 0.1 * rng.normal(size=N_STATE)
         x[ATTITUDE] /= np.linalg.norm(x[ATTITUDE])
         thrusts = rng.uniform(vehicle.thrust_min, vehicle.thrust_max, window.input.shape)
         controller.reset(x, window._replace(input=thrusts))
         first = thrusts[0] if len(thrusts) else np.full(vehicle.n_rotors, vehicle.hover_thrust)
-        expected = {id(memory): memory.now.copy() for memory in controller.running.instant.memory if memory is not own}
-        for memory in controller.running.instant.memory:
-            if memory is not own:
+        expected = {
+            id(memory): memory.now.copy() for memory in controller.running.control_step.memory if memory is not planned
+        }
+        for memory in controller.running.control_step.memory:
+            if memory is not planned:
                 memory.now[...] = 0.0
         if function is not None:
             for place, value in zip(places, function.call([x, first]), strict=True):
                 place[...] = np.array(ca.DM(value).full()).ravel()
-        for memory in controller.running.instant.memory:
-            if memory is own:
+        for memory in controller.running.control_step.memory:
+            if memory is planned:
                 continue
             before = expected[id(memory)]
             if not np.allclose(memory.now, before, rtol=EQUAL, atol=EQUAL, equal_nan=True):
@@ -85,18 +87,18 @@ def _starts(controller: Any, x: np.ndarray, thrust: np.ndarray) -> Starts:
     """Memory and values by name, of every layer."""
     for layer in layers(controller):
         if isinstance(layer, ObservingMPC):
-            inner: Any = layer.inner
-            estimator = inner.believed._estimator
+            wrapped: Any = layer.wrapped
+            estimator = wrapped.believed._estimator
             commands = np.tile(thrust, estimator.delays.pending)
             estimate = _traced(layer.part.begin, x)
             start = {"commands": commands, "thrust": thrust, "sent": thrust, "estimate": estimate}
-            yield inner.believed.memory, start
+            yield wrapped.believed.memory, start
         elif hasattr(layer, "starts"):
             yield from _traced(layer.starts, x, thrust)
         elif isinstance(layer, Layer):
             start = at_start(layer.vehicle, layer.about, thrust) if "sent" in layer.memory.sizes else {}
             yield layer.memory, start | _traced(layer.part.start, Inputs(layer.vehicle, layer.about, ca.SX), x, thrust)
-        elif not in_operations(layer):
+        elif not in_calls(layer):
             raise UsageError(f"export: {type(layer).__name__} exists in Python only")
     core = innermost(controller)
     if isinstance(core, PredictiveController):
@@ -115,7 +117,7 @@ def _traced(start: Any, *arguments: Any) -> Any:
     """What a `start` gives for symbols: as arrays of numpy, or where it cannot have these as columns of CasADi.
 
     Raises UsageError where it does with both what equations cannot."""
-    columns = [_column(one) if isinstance(one, np.ndarray) else one for one in arguments]
+    columns = [_column(argument) if isinstance(argument, np.ndarray) else argument for argument in arguments]
     reason = ""
     for form in (arguments, columns):
         try:

@@ -2,7 +2,7 @@
    loop.c leaves to Python on the bench is here: readings that are no numbers, the first solution of the MPC, a reference
    that is far away, a step that has no answer. Freestanding C11: no allocation, of libraries only math.h.
 
-   Declared before: ROTORS, ROWS, IMAGE, ROUND, ram, image, operations, the_loop, hover, thrust_min, thrust_max, start,
+   Declared before: ROTORS, ROWS, IMAGE, ROUND, ram, image, calls, the_loop, hover, thrust_min, thrust_max, start,
    command_now; without NO_PLAN the_plan, the_shift, NODES, SAMPLES, FULL_STEPS, RATES. */
 #ifdef __FAST_MATH__
 #error "compile this file without -ffast-math: what is not a number must be seen"
@@ -76,7 +76,7 @@ static int planned(mpc *p) {
 }
 
 /* As PredictiveController._within_reach. */
-static int within_reach(const operation *o, const mpc *p) {
+static int within_reach(const step_call *o, const mpc *p) {
     const real limit = o->factor * (1 + (real)1e-9), away = distance(o->source, o->other);
     if (!(away > limit)) return 1;
     real by[3];
@@ -89,14 +89,14 @@ static int within_reach(const operation *o, const mpc *p) {
 /* As PredictiveController.reset: the reference is the first guess. */
 static void begin_plan(mpc *p, const real *state, const reference *r) {
     const real *rows = 0; /* of a window that is longer than the horizon: which of them make it */
-    for (integer i = 0; i < the_loop.operations_size; i++)
-        if (operations[i].kind == WINDOW && operations[i].count && (integer)operations[i].factor == p->reference_rows)
-            rows = operations[i].source;
+    for (integer i = 0; i < the_loop.calls_size; i++)
+        if (calls[i].kind == WINDOW && calls[i].count && (integer)calls[i].factor == p->reference_rows)
+            rows = calls[i].source;
     copy(p->x0, state, BODY);
     for (integer k = 0; k < p->reference_rows; k++)
         copy(p->X_ref + p->states * k, r->states + BODY * (rows ? (integer)rows[k] : k), BODY);
-    for (integer i = 0; i < the_loop.operations_size; i++)
-        if (operations[i].kind == NEAR) (void)within_reach(operations + i, p);
+    for (integer i = 0; i < the_loop.calls_size; i++)
+        if (calls[i].kind == NEAR) (void)within_reach(calls + i, p);
     for (integer k = 0; k <= p->nodes; k++) copy(p->X + p->states * k, p->X_ref + p->states * SAMPLES * k, BODY);
     (void)to_side(p->X, p->nodes + 1, p->states, state);
     for (integer k = 0; k < p->nodes; k++)
@@ -111,7 +111,7 @@ static void begin_plan(mpc *p, const real *state, const reference *r) {
 }
 #else
 static int planned(mpc *p) { return (void)p, 0; }
-static int within_reach(const operation *o, const mpc *p) { return (void)o, (void)p, 0; }
+static int within_reach(const step_call *o, const mpc *p) { return (void)o, (void)p, 0; }
 #endif
 
 static reference as_reference(const window *w) {
@@ -130,14 +130,14 @@ int QX(reset)(const real state[BODY], const window *w) {
     for (integer i = 0; i < ROTORS; i++) last[i] = clipped(ROWS > 1 ? r.inputs[i] : hover[i]);
     for (integer i = 0; i < RAM; i++) ram[i] = i < IMAGE ? image[i] : 0;
     start(state, last);
-    for (integer i = 0; i < the_loop.operations_size; i++) {
-        const operation *o = operations + i;
+    for (integer i = 0; i < the_loop.calls_size; i++) {
+        const step_call *o = calls + i;
         if (o->kind == COMMIT) copy(o->next, o->to, o->count);
     }
 #ifndef NO_PLAN
     begin_plan(&the_plan, state, &r);
-    for (integer i = 0; i < the_loop.operations_size; i++) {
-        const operation *o = operations + i;
+    for (integer i = 0; i < the_loop.calls_size; i++) {
+        const step_call *o = calls + i;
         if (o->kind == COMMIT) copy(o->to, o->source, o->count);
     }
 #endif
@@ -157,9 +157,9 @@ int QX(step)(const real state[BODY], const real *force, const real *speed, const
         const reference r = as_reference(w);
         if (of_numbers(&r, ROTORS)) {
             copy(l->state, state, BODY);
-            if (read) copy(l->force, force, 3);
-            if (turning) copy(l->speed, speed, ROTORS);
-            *l->read = (real)read, *l->turning = (real)turning;
+            if (read) copy(l->specific_force, force, 3);
+            if (turning) copy(l->rotor_speed, speed, ROTORS);
+            *l->accelerometer_valid = (real)read, *l->rotor_speed_valid = (real)turning;
             status = control(l, instant, &r, 0) ? OK : FAILED;
             instant = instant + 1 < ROUND ? instant + 1 : 0;
             if (status == OK) copy(last, command_now, ROTORS);

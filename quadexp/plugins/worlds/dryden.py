@@ -25,8 +25,8 @@ wind held for 5 ms would look like readings that are 2.5 ms older than they are.
 
 Scale lengths and intensities at the altitude h, both in feet, for 10 ft <= h <= 1000 ft and the wind W_20 at 20 ft:
 
-    L_w = h,   L_u = L_v = h / (.177 + .000823 h)^1.2
-    sigma_w = .1 W_20,   sigma_u = sigma_v = sigma_w / (.177 + .000823 h)^.4
+    L_w = h,   L_u = L_v = h / (0.177 + 0.000823 h)^1.2
+    sigma_w = 0.1 W_20,   sigma_u = sigma_v = sigma_w / (0.177 + 0.000823 h)^0.4
 """
 
 from __future__ import annotations

@@ -19,14 +19,14 @@ P into the axes of the new attitude, by I - [dtheta]x / 2.
 In flight it works on a delayed horizon, with an output for now. Fixes come late, the IMU's readings do not. The filter
 lives d IMU readings ago, d the longest delay among the aids: there every fix is at hand by its own time stamp and is
 used with the state and the covariance of that time, so a delay costs no approximation (as in PX4's EKF2; Khosravian et
-al. 2015). What the controller is told is the filter's state, carried on to now by the IMU readings in between:
+al. 2015). What the controller is given is the filter's state, carried on to now by the IMU readings in between:
 
     fixes, readings --> queue of d readings --> filter at t - d h --> output predictor over the queue --> p, q, v at t
     rates: the last gyroscope reading less its estimated bias
 
 A fix that is lost does not come, and the filter only predicts. The filter's noise is that which the sensors state,
 times two factors. When a flight begins the filter has run for a while at rest, from one fix of each aid
-(Aid.first_guess), tilt levelled by an accelerometer of unknown bias, and biases believed to be zero.
+(Aid.first_guess), tilt levelled by an accelerometer of unknown bias, and biases assumed to be zero.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.log.schema import BIAS_COLUMNS
 from quadexp.names import named
-from quadexp.parts.sensor_sheet import SensorSheet, Stated
+from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import Expression, symbols, unit
 from quadexp.physics.rotation import along_z, cross_matrix, exponential, product, right_jacobian, rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.worlds.inertial import FORCE, N_BIAS, N_DENSITIES, N_READING, TURN, Aid, InertialSensors
-from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
+from quadexp.world.effect import Clock, Effect, Measured, Readings, Sizes, Start
 
 N_NOMINAL, N_ERROR = 16, 15  # position, velocity, attitude (4 and 3 numbers), two biases of 3
 # Of the nominal state; the others as in physics/state.
@@ -140,9 +140,9 @@ def update(
     for value, row, variance in innovations:
         PH = sum(coefficient * covariance[:, i] for i, coefficient in row.items())
         seen = sum(coefficient * PH[i] for i, coefficient in row.items())
-        told = sum(coefficient * d[i] for i, coefficient in row.items())
+        predicted = sum(coefficient * d[i] for i, coefficient in row.items())
         gain = PH * (1 / (seen + variance))
-        d = d + gain * (value - told)
+        d = d + gain * (value - predicted)
         covariance = ca.triu2symm(ca.triu(covariance - gain @ PH.T))
     return inject(nominal, d), reset(covariance, d)
 
@@ -209,10 +209,10 @@ class Navigation(Effect):
 
     def among(self, effects: Sequence[Effect]) -> Effect:
         """Raises UsageError where there are no inertial sensors."""
-        found = [effect for effect in effects if isinstance(effect, InertialSensors)]
-        if not found:
+        sensors = [effect for effect in effects if isinstance(effect, InertialSensors)]
+        if not sensors:
             raise UsageError("estimator=eskf: needs inertial sensors: sensor=imu_mocap or sensor=imu_gnss")
-        return replace(self, inertial=found[0])
+        return replace(self, inertial=sensors[0])
 
     @property
     def sensors(self) -> InertialSensors:
@@ -245,12 +245,12 @@ class Navigation(Effect):
     def first_deviations(self, gravity: float) -> np.ndarray:
         """Standard deviations of the error after one fix of each aid, (15,)."""
         bias = self.sensors.bias_std
-        found = np.zeros(N_ERROR)
-        found[D_ATTITUDE.start : D_ATTITUDE.stop] = bias[0] / gravity
+        deviations = np.zeros(N_ERROR)
+        deviations[D_ATTITUDE.start : D_ATTITUDE.stop] = bias[0] / gravity
         for aid in self.sensors.aids:
-            found[list(aid.first_guess)] = list(aid.first_guess.values())
-        found[D_ATTITUDE.stop :] = bias
-        return found
+            deviations[list(aid.first_guess)] = list(aid.first_guess.values())
+        deviations[D_ATTITUDE.stop :] = bias
+        return deviations
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         """The error is drawn from the covariance that standing for `warm_up` leaves, given the true biases.
@@ -272,11 +272,11 @@ class Navigation(Effect):
         queue = np.zeros(self.entry_size * self.horizon(start.clock))
         return np.concatenate([known.full().ravel(), queue]), self.believed(gravity)
 
-    def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
+    def stated(self, sensor_spec: SensorSpec, vehicle: Vehicle) -> SensorSpec:
         """The deviations that the filter states when a flight begins; its errors are slow, its state is of now."""
         deviations = np.sqrt(np.diag(_standing(self, vehicle.gravity)))
         position, velocity, attitude = (Stated(drift=float(deviations[list(place)].max())) for place in PLACES[:3])
-        return replace(sheet, position=position, velocity=velocity, attitude=attitude)
+        return replace(sensor_spec, position=position, velocity=velocity, attitude=attitude)
 
     def first(self, inner: np.ndarray, state: np.ndarray) -> np.ndarray:
         return np.concatenate([inner[: RATE.start], state[RATE]])
@@ -287,9 +287,9 @@ class Navigation(Effect):
         biases = {f"est_{name}": len(STATE_COLUMNS[: RATE.start]) + i for i, name in enumerate(BIAS_COLUMNS)}
         return biases | named(VARIANCES, diagonal)
 
-    def measure(self, at: Readings, told: Told) -> tuple[ca.MX, Told]:
+    def measure(self, at: Readings, measured: Measured) -> tuple[ca.MX, Measured]:
         aids, count, behind = self.sensors.aids, self.sensors.readings(at.clock), self.horizon(at.clock)
-        entries = ca.vertcat(told["imu"], *(told[aid.name] for aid in aids))
+        entries = ca.vertcat(measured["imu"], *(measured[aid.name] for aid in aids))
         queue = ca.horzcat(ca.reshape(at.inner[KNOWN.stop :], self.entry_size, behind), entries)
         known = self._filter().fold(count)(at.inner[KNOWN], queue[:, :count], ca.repmat(at.parameters, 1, count))
         queue = queue[:, count:]
@@ -297,9 +297,9 @@ class Navigation(Effect):
         if behind:
             gravity = ca.repmat(at.parameters[0], 1, behind)
             nominal = self._output().fold(behind)(nominal, queue[:N_ENTRY, :], gravity)
-        rates = told["imu"][TURN, -1] - nominal[GYROSCOPE_BIAS]
+        rates = measured["imu"][TURN, -1] - nominal[GYROSCOPE_BIAS]
         state = ca.vertcat(nominal[: RATE.start], rates)
-        return ca.vertcat(known, ca.vec(queue)), told | {"state": state}
+        return ca.vertcat(known, ca.vec(queue)), measured | {"state": state}
 
     def _output(self) -> ca.Function:
         """(nominal state, entry, gravity) -> nominal state after the entry's interval."""
@@ -315,13 +315,13 @@ class Navigation(Effect):
             entry=self.entry_size,
             parameters=1 + N_DENSITIES + sum(len(aid.deviations) for aid in self.sensors.aids),
         )
-        found = prediction()(known, entry[:N_READING], entry[N_READING], parameters[: 1 + N_DENSITIES])
-        place, told = N_ENTRY, 1 + N_DENSITIES
+        estimate = prediction()(known, entry[:N_READING], entry[N_READING], parameters[: 1 + N_DENSITIES])
+        place, first = N_ENTRY, 1 + N_DENSITIES
         for aid in self.sensors.aids:
             fix, place = entry[place : place + 1 + aid.size], place + 1 + aid.size
-            deviations, told = parameters[told : told + len(aid.deviations)], told + len(aid.deviations)
-            found = correction(aid)(fix[0], found, fix[1:], deviations)
-        return ca.Function("filter_step", [known, entry, parameters], [found])
+            deviations, first = parameters[first : first + len(aid.deviations)], first + len(aid.deviations)
+            estimate = correction(aid)(fix[0], estimate, fix[1:], deviations)
+        return ca.Function("filter_step", [known, entry, parameters], [estimate])
 
 
 @cache
@@ -355,8 +355,8 @@ def _standing(filter_: Navigation, gravity: float) -> np.ndarray:
 def _off_by() -> ca.Function:
     """(nominal state, an error (15,), covariance (15, 15)) -> [nominal state with the error added, covariance]."""
     nominal, d, covariance = symbols(ca.SX, nominal=N_NOMINAL, d=N_ERROR, covariance=(N_ERROR, N_ERROR))
-    found = ca.vertcat(inject(nominal, d), packed(covariance))
-    return ca.Function("off_by", [nominal, d, covariance], [found])
+    estimate = ca.vertcat(inject(nominal, d), packed(covariance))
+    return ca.Function("off_by", [nominal, d, covariance], [estimate])
 
 
 def prediction() -> ca.Function:
@@ -366,20 +366,23 @@ def prediction() -> ca.Function:
     )
     covariance = unpacked(known[N_NOMINAL:])
     nominal, covariance = predict(known[:N_NOMINAL], covariance, reading, duration, parameters[0], parameters[1:])
-    found = ca.vertcat(nominal, packed(covariance))
-    return ca.Function("predict", [known, reading, duration, parameters], ca.cse([found]))
+    estimate = ca.vertcat(nominal, packed(covariance))
+    return ca.Function("predict", [known, reading, duration, parameters], ca.cse([estimate]))
 
 
 def correction(aid: Aid) -> ca.Function:
     """(whether there is a fix, [nominal state, covariance], fix, deviations) -> [nominal state, covariance]."""
     known, fix, deviations = symbols(ca.SX, known=KNOWN.stop, fix=aid.size, deviations=len(aid.deviations))
     nominal, covariance = known[:N_NOMINAL], unpacked(known[N_NOMINAL:])
-    innovations = [(one.value, one.row, deviations[one.deviation] ** 2) for one in aid.compare(nominal, fix)]
+    innovations = [
+        (innovation.value, innovation.row, deviations[innovation.deviation] ** 2)
+        for innovation in aid.compare(nominal, fix)
+    ]
     nominal, covariance = update(nominal, covariance, innovations)
-    found = ca.cse([ca.vertcat(nominal, packed(covariance))])
+    estimate = ca.cse([ca.vertcat(nominal, packed(covariance))])
     arguments = [known, fix, deviations]
     return ca.Function.if_else(
         f"correct_by_{aid.name}",
-        ca.Function(f"with_{aid.name}", arguments, found),
+        ca.Function(f"with_{aid.name}", arguments, estimate),
         ca.Function(f"without_{aid.name}", arguments, [known]),
     )

@@ -24,7 +24,7 @@ and ends with the probability e,
 
 so that with m = 1 / (1 - s) every fix is lost with probability s, by itself.
 
-For estimators this adds to what is told, a column an IMU reading:
+For estimators this adds to what is given, a column an IMU reading:
 
     imu        (7, k)         [a_m (m/s^2), w_m (rad/s), interval (s)]
     its name   (1 + size, k)  of each aid: whether there is a fix of this instant (0 or 1), and the fix
@@ -42,13 +42,13 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.log.schema import BIAS_COLUMNS
-from quadexp.parts.sensor_sheet import SensorSheet, Stated
+from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.parts.settings import Setting, key, keyed
 from quadexp.physics.expression import Expression, split
 from quadexp.physics.rotation import along_z, conjugate, exponential, logarithm, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
-from quadexp.world.effect import Clock, Effect, Readings, Sizes, Start, Told
+from quadexp.world.effect import Clock, Effect, Measured, Readings, Sizes, Start
 from quadexp.world.streams import TICK, Drawn, Held, Sampled
 
 N_READING = 6  # [a_m, w_m]
@@ -224,30 +224,30 @@ class InertialSensors(Effect):
         parameters += [np.concatenate([aid.sampling(), aid.deviations]) for aid in self.aids]
         return np.concatenate([bias, np.zeros(N_CLOCK * len(self.aids))]), np.concatenate(parameters)
 
-    def stated(self, sheet: SensorSheet, vehicle: Vehicle) -> SensorSheet:
+    def stated(self, sensor_spec: SensorSpec, vehicle: Vehicle) -> SensorSpec:
         force, turn, *_ = (self.densities * math.sqrt(self.imu_rate)).tolist()
         accelerometer, gyroscope = (
             Stated(noise, bias, span=1 / self.imu_rate)
             for noise, bias in ((force, self.accelerometer_bias_std), (turn, self.gyroscope_bias_std))
         )
-        return replace(sheet, accelerometer=accelerometer, gyroscope=gyroscope)
+        return replace(sensor_spec, accelerometer=accelerometer, gyroscope=gyroscope)
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
         """The true biases."""
         return {name: i for i, name in enumerate(BIAS_COLUMNS)}
 
-    def measure(self, at: Readings, told: Told) -> tuple[ca.MX, Told]:
+    def measure(self, at: Readings, measured: Measured) -> tuple[ca.MX, Measured]:
         instants = self._instants(at.clock)
         count = len(instants) - 1
         before, after = at.states[:, instants[:-1]], at.states[:, instants[1:]]
         durations = at.step * ca.DM(np.diff(instants)).T
         sizes = [N_READING, N_BIAS, *(1 + aid.noise for aid in self.aids)]
         drawn = split(at.draws, (size * count for size in sizes))
-        noise = ca.vertcat(*(ca.reshape(one, -1, count) for one in drawn))
+        noise = ca.vertcat(*(ca.reshape(sample, -1, count) for sample in drawn))
         parameters = ca.repmat(at.parameters, 1, count)
         inner, *told_now = self._tick().mapaccum(count)(at.inner, before, after, durations, noise, parameters)
-        told = told | {"specific_force": told_now[0][FORCE, -1], "imu": ca.vertcat(told_now[0], durations)}
-        return inner[:, -1], told | {aid.name: fix for aid, fix in zip(self.aids, told_now[1:], strict=True)}
+        measured = measured | {"specific_force": told_now[0][FORCE, -1], "imu": ca.vertcat(told_now[0], durations)}
+        return inner[:, -1], measured | {aid.name: fix for aid, fix in zip(self.aids, told_now[1:], strict=True)}
 
     def _tick(self) -> ca.Function:
         """(inner, state before, state after, duration, noise, parameters) -> inner, reading (6,), fixes of the aids."""
@@ -259,15 +259,15 @@ class InertialSensors(Effect):
         gravity, densities = parameters[0], parameters[1 : 1 + N_DENSITIES]
         exact = means(before, after, duration, gravity)
         reading, bias = read(exact, inner[:N_BIAS], duration, noise[:N_NOISE], densities)
-        clocks, fixes, drawn, told = [], [], N_NOISE, 1 + N_DENSITIES
+        clocks, fixes, drawn, first = [], [], N_NOISE, 1 + N_DENSITIES
         for i, aid in enumerate(self.aids):
             clock = inner[N_BIAS + N_CLOCK * i : N_BIAS + N_CLOCK * (i + 1)]
-            sampling, told = parameters[told : told + N_SAMPLING], told + N_SAMPLING
-            deviations, told = parameters[told : told + len(aid.deviations)], told + len(aid.deviations)
+            sampling, first = parameters[first : first + N_SAMPLING], first + N_SAMPLING
+            deviations, first = parameters[first : first + len(aid.deviations)], first + len(aid.deviations)
             taken, clock = sample(clock, duration, noise[drawn], sampling)
             fix = aid.measure(after, noise[drawn + 1 : drawn + 1 + aid.noise], deviations)
             drawn += 1 + aid.noise
             clocks.append(clock)
             fixes.append(ca.vertcat(taken, fix))
-        results = [ca.densify(one) for one in (ca.vertcat(bias, *clocks), reading, *fixes)]
+        results = [ca.densify(result) for result in (ca.vertcat(bias, *clocks), reading, *fixes)]
         return ca.Function("inertial_sensors", symbols, ca.cse(results))

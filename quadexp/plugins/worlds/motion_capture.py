@@ -59,5 +59,5 @@ def _measure(x: Expression, noise: Expression, deviations: Expression) -> Expres
 def _compare(nominal: Expression, fix: Expression) -> list[Innovation]:
     away = fix[:3] - nominal[POSITION]
     turned = logarithm(product(conjugate(nominal[ATTITUDE]), fix[3:]))
-    found = [Innovation(away[i], {place: 1}, 0) for i, place in enumerate(D_POSITION)]
-    return found + [Innovation(turned[i], {place: 1}, 1) for i, place in enumerate(D_ATTITUDE)]
+    innovations = [Innovation(away[i], {place: 1}, 0) for i, place in enumerate(D_POSITION)]
+    return innovations + [Innovation(turned[i], {place: 1}, 1) for i, place in enumerate(D_ATTITUDE)]

@@ -31,8 +31,8 @@ class Counting(Law):
     def start(self, vehicle, x):
         return {"steps": np.array([10.0])}
 
-    def equations(self, vehicle, given, memory):
-        integral = memory.integral + given.period * self.gain * (given.state[POSITION] - given.path[:, 0])
+    def equations(self, vehicle, inputs, memory):
+        integral = memory.integral + inputs.period * self.gain * (inputs.state[POSITION] - inputs.path[:, 0])
         thrusts = vehicle.hover_thrust * ca.SX.ones(vehicle.n_rotors)
         return {"command": thrusts, "integral": integral, "steps": memory.steps + 1}
 
@@ -66,17 +66,17 @@ def test_only_what_it_reads_is_told(vehicle):
 
 @dataclass(frozen=True, kw_only=True)
 class Reading(Law):
-    """Logs what it is told; no vehicle would fly with it."""
+    """Logs what it is given; no vehicle would fly with it."""
 
     logged = ("force", "speed", "fresh", "air", "wind")
 
-    def equations(self, vehicle, given, memory):
-        told = {"force": given.specific_force, "speed": given.rotor_speed, "fresh": given.fresh, "air": given.air}
-        return {"command": given.thrusts, "wind": given.belief.wind, **told}
+    def equations(self, vehicle, inputs, memory):
+        told = {"force": inputs.specific_force, "speed": inputs.rotor_speed, "fresh": inputs.fresh, "air": inputs.air}
+        return {"command": inputs.thrusts, "wind": inputs.belief.wind, **told}
 
 
 def test_readings_belief_and_air_are_what_they_are_called(vehicle):
-    """The air at the velocity less the believed wind, times its scale, by the model itself."""
+    """The air at the velocity less the assumed wind, times its scale, by the model itself."""
     residual = linear_drag_residual(vehicle, (0.4, 0.3, 0.1))
     controller = Reading(backend="interpreted").controller(vehicle, residual)
     x, window, wind = at_rest(), hovering(vehicle), np.array([1.0, -2.0, 0.5])
@@ -108,7 +108,7 @@ def test_equations_that_do_not_give_what_they_must_are_refused_in_one_line(vehic
         memory = {"integral": 3}
 
         def equations(self, vehicle, inputs, memory):
-            return inputs.speed if given is None else given
+            return inputs.rotor_speed if given is None else given
 
     with pytest.raises(UsageError, match=message):
         Wrong(backend="interpreted").controller(vehicle)

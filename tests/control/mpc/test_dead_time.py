@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from quadexp.compile.symbolic import ca
-from quadexp.control.instant import run
+from quadexp.control.control_step import run
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.mpc.mpc import ModelPredictiveController
@@ -192,9 +192,9 @@ def test_a_time_out_of_range_is_refused(key, value):
 @pytest.mark.parametrize(
     ("settings", "latency", "lag", "most"),
     [
-        ({"dead_time": 0.05}, 0.02, 0.03, 0.05),  # measured .028 mm
-        ({"dead_time": 0.02, "motor_lag": 0.03}, 0.02, 0.03, 0.04),  # .026
-        ({"dead_time": 0.02, "motor_lag": 0.03, "first_node": 0.02, "horizon": 0.6}, 0.02, 0.03, 0.02),  # .001
+        ({"dead_time": 0.05}, 0.02, 0.03, 0.05),  # measured 0.028 mm
+        ({"dead_time": 0.02, "motor_lag": 0.03}, 0.02, 0.03, 0.04),  # 0.026
+        ({"dead_time": 0.02, "motor_lag": 0.03, "first_node": 0.02, "horizon": 0.6}, 0.02, 0.03, 0.02),  # 0.001
         ({"dead_time": 0.033}, 0.033, 0.0, 0.05),
     ],
 )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from quadexp.control.instant import run
+from quadexp.control.control_step import run
 from quadexp.control.mpc.dead_time import MotorLead
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.errors import UsageError
@@ -15,8 +15,8 @@ from quadexp.physics.motor import lagging_thrust
 
 def commanded(vehicle, lag, planned, now, scale=1.0):
     limits = np.full(4, scale * vehicle.thrust_min), np.full(4, scale * vehicle.thrust_max)
-    operations, command = MotorLead(limits, MPCSettings(motor_lead=lag)).after(planned, now)
-    run(operations)
+    calls, command = MotorLead(limits, MPCSettings(motor_lead=lag)).after(planned, now)
+    run(calls)
     return command
 
 
@@ -40,7 +40,7 @@ def test_the_limits_are_those_of_what_rotors_deliver(vehicle):
 
 
 def test_commands_reach_their_limit_whatever_scale_is_believed():
-    """A vehicle a fifth lighter than believed, with lagging motors, in corners: all of its thrust is used."""
+    """A vehicle a fifth lighter than assumed, with lagging motors, in corners: all of its thrust is used."""
     light = ["truth.mass=0.83", "controller.allow_unstable=true", "remedies=auto", "world=only_motor_lag"]
     path = ["trajectory=rectangle", "trajectory.start=reference", "trajectory.duration=8", "trajectory.speed=8"]
     flight = fly_one(compose(["controller=perfect_mpc", *light, *path]))
@@ -56,8 +56,8 @@ def test_a_lag_is_modelled_or_inverted():
 
 
 def test_what_each_way_leaves_of_the_lag():
-    """A lemniscate at 8 m/s in the world of one's own model, rotors 30 ms slow: told as states better than inverted,
-    that better than not told."""
+    """A lemniscate at 8 m/s in the world of one's own model, rotors 30 ms slow: given as states better than inverted,
+    that better than not given."""
     world = ["controller=perfect_mpc", "actuator=lag_30ms", "horizon=robust", "trajectory=lemniscate"]
     world += ["trajectory.speed=8", "link=latency", "controller.dead_time=0.01", "plant.step=2e-3"]
     world += ["controller.backend=interpreted", "plant.backend=interpreted"]

@@ -145,7 +145,7 @@ def test_a_line_search_without_bounds_says_so_and_ends_where_full_steps_do(vehic
         assert (controller._first_solve is not None) == (full_steps == 1)
     (full, _), (searched, record) = answers
     assert searched == pytest.approx(full, abs=1e-5)
-    assert (record.status, record.sweeps, record.active) == (Status.RICCATI, 0, 0) and record.converged
+    assert (record.status, record.sweeps, record.active) == (Status.OK, 0, 0) and record.converged
 
 
 def test_settings_that_change_in_flight_keep_the_plan(vehicle):
@@ -224,7 +224,7 @@ def test_growing_nodes_begin_with_the_first(nodes, rate, first):
 @pytest.mark.parametrize("noise", [False, True])
 @pytest.mark.parametrize(("trajectory", "most"), [(Circle(speed=8.0), 0.15), (Lemniscate(speed=8.0), 0.12)])
 def test_growing_nodes_track_better_at_the_same_cost(vehicle, noise, trajectory, most):
-    """The first input is held for as long as it was predicted to be: measured .13 and .085 of the published error."""
+    """The first input is held for as long as it was predicted to be: measured 0.13 and 0.085 of the published error."""
     effects = PlantEffects() if noise else PlantEffects.none()
     plant, errors = SimplifiedPlant(vehicle, effects), []
     for first_node in (0.02, 0.0):

@@ -117,10 +117,10 @@ def flown(vehicle, path, settings, latency=0.0, lag=0.0):
 @pytest.mark.parametrize(
     ("path", "settings", "most"),  # mm, measured / with the command held
     [
-        (Circle(speed=8.0), {}, 0.03),  # .011 / .383
-        (Lemniscate(speed=8.0), {}, 0.4),  # .190 / 5.03
-        (Lemniscate(speed=8.0), {"first_node": 0.06, "horizon": 0.8}, 0.15),  # .077
-        (Lemniscate(speed=8.0), {"first_node": 0.02, "horizon": 0.6}, 0.08),  # .041 / .118
+        (Circle(speed=8.0), {}, 0.03),  # 0.011 / 0.383
+        (Lemniscate(speed=8.0), {}, 0.4),  # 0.190 / 5.03
+        (Lemniscate(speed=8.0), {"first_node": 0.06, "horizon": 0.8}, 0.15),  # 0.077
+        (Lemniscate(speed=8.0), {"first_node": 0.02, "horizon": 0.6}, 0.08),  # 0.041 / 0.118
     ],
     ids=["circle, published grid", "lemniscate, published grid", "lemniscate, robust", "lemniscate, precise"],
 )
@@ -139,7 +139,7 @@ def test_the_margins_are_those_of_the_held_command(vehicle, settings):
 
 
 @pytest.mark.parametrize(
-    ("path", "most_13", "most_17"),  # mm; measured .016 and .006, .748 and .090
+    ("path", "most_13", "most_17"),  # mm; measured 0.016 and 0.006, 0.748 and 0.090
     [(Circle(speed=8.0), 0.05, 0.02), (Lemniscate(speed=8.0), 1.0, 0.15)],
     ids=["circle", "lemniscate"],
 )

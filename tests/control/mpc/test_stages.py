@@ -79,7 +79,7 @@ def test_any_form(vehicle, rng, backend, form):
     assert_written_out(step, vehicle, residual, FORMS[form], rng)
 
 
-def built(vehicle, residual, *flags: str, **structure) -> CompiledStages:
+def cached_function(vehicle, residual, *flags: str, **structure) -> CompiledStages:
     """The compiled form with further flags, and with lanes where it has them, which tests are flown without."""
     form = Form(vehicle.n_rotors, len(residual.theta), **structure)
     linearise = linearise_function(vehicle, residual, form, scalar=True)
@@ -93,7 +93,7 @@ def test_any_model(vehicle, rng, name):
     """Those in lanes, and those that choose between numbers; with thrusts as states and a disturbance."""
     vehicle = with_rotors(vehicle) if name.startswith("blade") else vehicle
     residual = make_residual(name, vehicle)
-    step = Step(built(vehicle, residual, lag=True, disturbed=True), 10)
+    step = Step(cached_function(vehicle, residual, lag=True, disturbed=True), 10)
     assert_written_out(step, vehicle, residual, {"lag": True, "disturbed": True}, rng)
 
 
@@ -110,7 +110,7 @@ def test_any_number_of_rotors(vehicle, rng, rotors):
 @pytest.mark.parametrize("flag", ["-O3", "-mno-avx512f", "-mno-avx", "-O0"])
 def test_narrower_registers_and_none(vehicle, rng, flag):
     residual = make_residual("gp_per_axis", vehicle)
-    assert_written_out(Step(built(vehicle, residual, flag), 10), vehicle, residual, {}, rng)
+    assert_written_out(Step(cached_function(vehicle, residual, flag), 10), vehicle, residual, {}, rng)
 
 
 @compiled
@@ -121,7 +121,7 @@ def test_the_type_of_numbers_is_a_parameter(vehicle, rng):
     pose(exact, vehicle, residual.theta, rng)
     exact.arguments["X"][...] = exact.arguments["X_ref"][...] = exact.arguments["x0"]
     exact()
-    single = built(vehicle, residual, "-DREAL=float")
+    single = cached_function(vehicle, residual, "-DREAL=float")
     arrays = [
         {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
         for shapes in array_shapes(single.form, nodes)

@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.compile.symbolic import ca
+from quadexp.control.control_step import InputArrays, run
 from quadexp.control.delivered import SentCommands
-from quadexp.control.instant import Told, run
 from quadexp.models.residual import no_residual
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.plugins.auto.bank import Bank, first_order_gain, stationary_gain
@@ -79,10 +79,10 @@ def flown(
     vehicle, *, age=0.0, dead_time=0.0, lag=0.0, noise=0.005, correlation=0.0, steps=500, seed=0, span=0.0, missing=0.0
 ):
     """A bank after a flight whose commands are noise: the vehicle turns about x and y, moves under a wind that pushes
-    to the side, and is told of it `age` (s) late. correlation: of successive errors of the rates. span: over which
+    to the side, and is given it `age` (s) late. correlation: of successive errors of the rates. span: over which
     force and rates are means (s). missing: share of the accelerometer's readings."""
     rng, n, fine = np.random.default_rng(seed), vehicle.n_rotors, 0.001
-    bank, told = bank_of(vehicle, spans=(span, span)), Told(vehicle.n_rotors)
+    bank, told = bank_of(vehicle, spans=(span, span)), InputArrays(vehicle.n_rotors)
     command, per = np.full(n, vehicle.hover_thrust), round(PERIOD / fine)
     total = steps * per
     commands = vehicle.hover_thrust * (1 + 0.2 * rng.normal(size=(steps, n)))
@@ -104,7 +104,7 @@ def flown(
     x = np.zeros(13)
     x[3] = 1.0
     bank.reset(x, command)
-    operations, error = bank.after(told, told.state, command), np.zeros(2)
+    calls, error = bank.after(told, told.state, command), np.zeros(2)
     told.state[:] = x
     for k in range(steps):
         now = k * per - 1
@@ -114,26 +114,26 @@ def flown(
             told.state[:] = x
             told.state[RATE][:2] = rates[old] + error
             told.state[VELOCITY] = speed[old] + 1e-3 * rng.normal(size=3)
-            told.read[0] = rng.random() >= missing
-            if told.read[0]:
-                told.force[:] = force[now] + 0.05 * rng.normal(size=3)
+            told.accelerometer_valid[0] = rng.random() >= missing
+            if told.accelerometer_valid[0]:
+                told.specific_force[:] = force[now] + 0.05 * rng.normal(size=3)
         command[:] = commands[k]
-        run(operations, k)
+        run(calls, k)
         bank.memory.commit()
     return bank
 
 
 def test_commands_that_do_not_change_say_nothing_of_their_delays(vehicle):
     """At hover: what nothing moves has no likeliest scale, and that made all delays not a number."""
-    rng, bank, told = np.random.default_rng(0), bank_of(vehicle), Told(vehicle.n_rotors)
+    rng, bank, told = np.random.default_rng(0), bank_of(vehicle), InputArrays(vehicle.n_rotors)
     hover = np.full(vehicle.n_rotors, vehicle.hover_thrust)
     bank.reset(np.eye(13)[3], hover)
-    operations, told.read[0] = bank.after(told, told.state, hover), 1.0
+    calls, told.accelerometer_valid[0] = bank.after(told, told.state, hover), 1.0
     for k in range(40):
         told.state[:] = np.eye(13)[3]
         told.state[VELOCITY], told.state[RATE] = 1e-3 * rng.normal(size=3), 5e-3 * rng.normal(size=3)
-        told.force[:] = [0.0, 0.0, vehicle.gravity] + 0.05 * rng.normal(size=3)
-        run(operations, k)
+        told.specific_force[:] = [0.0, 0.0, vehicle.gravity] + 0.05 * rng.normal(size=3)
+        run(calls, k)
         bank.memory.commit()
     for moments in bank.moments.values():
         moments[:, 2:, 2:] = moments[:, :2, 2:] = moments[:, 2:, :2] = 0.0  # exactly
@@ -179,9 +179,9 @@ def squares_of(M, h):
 def test_the_moments_are_those_of_a_kalman_filter_of_each_hypothesis(vehicle):
     """Of one hypothesis at a time, the filter written out, its gains those of a stationary one."""
     bank, rng, n = bank_of(vehicle), np.random.default_rng(3), vehicle.n_rotors
-    told, command, x = Told(n), np.full(n, vehicle.hover_thrust), np.eye(13)[3]
+    told, command, x = InputArrays(n), np.full(n, vehicle.hover_thrust), np.eye(13)[3]
     bank.reset(x, command)
-    operations, sent = bank.after(told, told.state, command), SentCommands(n, PERIOD, 0.6)
+    calls, sent = bank.after(told, told.state, command), SentCommands(n, PERIOD, 0.6)
     sent.reset(command)
     age, dead_time, lag = 0.013, 0.007, 0.021
     mean = sent.weights(np.array([[-PERIOD, 0.0]]), dead_time + age, lag)[0]
@@ -191,9 +191,9 @@ def test_the_moments_are_those_of_a_kalman_filter_of_each_hypothesis(vehicle):
     squares, thrust_squares, level = np.zeros(len(filters)), 0.0, push
     gain, fading = first_order_gain(BANK.thrust_walk * np.sqrt(PERIOD) / BANK.thrust_noise), PERIOD / BANK.forgetting
     for k in range(60):
-        told.state[:], told.read[0] = x, k > 0
+        told.state[:], told.accelerometer_valid[0] = x, k > 0
         told.state[RATE] = w = 0.3 * rng.normal(size=3) if k else np.zeros(3)
-        told.force[:] = rng.normal(size=3) + [0, 0, 9.81]
+        told.specific_force[:] = rng.normal(size=3) + [0, 0, 9.81]
         counted, middle = k >= BANK.settling / PERIOD, (w + before) / 2
         drive = spin @ (mean @ sent.values) - (np.linalg.inv(inertia) @ np.cross(middle, inertia @ middle))[:2]
         for i, (noise, walk) in enumerate(BANK.gyro_models):
@@ -202,12 +202,14 @@ def test_the_moments_are_those_of_a_kalman_filter_of_each_hypothesis(vehicle):
             nu = w[:2] - predicted
             filters[i] = np.stack([predicted + gains[0] * nu, state[1] + gains[1] * nu])
             squares[i] = np.exp(-fading) * squares[i] + counted * nu @ nu
-        nu = told.read[0] * (told.force[2] - (now @ sent.values).sum() / vehicle.mass - (push - level))
+        nu = told.accelerometer_valid[0] * (
+            told.specific_force[2] - (now @ sent.values).sum() / vehicle.mass - (push - level)
+        )
         push += gain * nu
         thrust_squares = np.exp(-fading) * thrust_squares + counted * nu**2
         before = w
         command[:] = vehicle.hover_thrust * (1 + 0.3 * rng.normal(size=n))
-        run([*operations, *sent.after(command)], k)
+        run([*calls, *sent.after(command)], k)
         bank.memory.commit()
         sent.memory.commit()
     m, total = bank.layout.commands, dead_time + age + lag
@@ -233,7 +235,7 @@ def test_readings_that_are_means_over_a_time_are_no_older_for_that(vehicle):
 
 @pytest.mark.parametrize("missing", [0.1, 0.3])
 def test_missing_readings_make_nothing_older(vehicle, missing):
-    """What was missing was skipped: of 30 % an age of 36 ms was believed where 0 is right."""
+    """What was missing was skipped: of 30 % an age of 36 ms was assumed where 0 is right."""
     found = posterior(flown(vehicle, missing=missing))
     assert found.age_odds < 2 and found.mean[0] < 0.003
     late = posterior(flown(vehicle, age=0.02, missing=missing))
@@ -295,15 +297,15 @@ def test_attitudes_tell_their_age_against_rates(vehicle, age, of_rates):
     attitudes = [Rotation.identity()]
     for rate in turns[1:]:
         attitudes.append(attitudes[-1] * Rotation.from_rotvec(fine * rate))
-    told, command, x = Told(vehicle.n_rotors), np.full(vehicle.n_rotors, vehicle.hover_thrust), np.eye(13)[3]
+    told, command, x = InputArrays(vehicle.n_rotors), np.full(vehicle.n_rotors, vehicle.hover_thrust), np.eye(13)[3]
     bank.reset(x, command)
-    operations, told.read[0] = bank.after(told, told.state, command), 1.0
+    calls, told.accelerometer_valid[0] = bank.after(told, told.state, command), 1.0
     for k, now in enumerate(range(0, len(t), round(bank.period / fine))):
         attitude = attitudes[max(now - round(age / fine), 0)] * Rotation.from_rotvec(noise[1] * rng.normal(size=3))
         told.state[:] = x
         told.state[ATTITUDE] = attitude.as_quat(scalar_first=True)
         told.state[RATE] = turns[max(now - round(of_rates / fine), 0)] + bias + noise[0] * rng.normal(size=3)
-        run(operations, k)
+        run(calls, k)
         bank.memory.commit()
     found = posterior(bank)
     newer = age - of_rates

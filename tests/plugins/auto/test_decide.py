@@ -8,10 +8,10 @@ import pytest
 
 from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.settings import MPCSettings
-from quadexp.plugins.auto.decide import NOTHING, Decision, Senses, decided, grids
+from quadexp.plugins.auto.decide import NOTHING, Decision, Statistics, decided, grids
 from quadexp.plugins.auto.settings import DECISION
 
-GRIDS, NO_SENSES = DECISION.grids, Senses()
+GRIDS, NO_SENSES = DECISION.grids, Statistics()
 
 
 def found(age=0.0, total=0.0, lag=0.0, *, sd=0.0005, age_odds=0.0, total_odds=0.0, at_end=False):
@@ -19,10 +19,10 @@ def found(age=0.0, total=0.0, lag=0.0, *, sd=0.0005, age_odds=0.0, total_odds=0.
     return {name: ca.DM(value) for name, value in given.items()} | {"at_end": ca.DM([at_end, False, False])}
 
 
-def decide(of, last=NOTHING, senses=NO_SENSES):
+def decide(of, last=NOTHING, statistics=NO_SENSES):
     """What is decided, as numbers; of: None before there is evidence."""
     known = of is not None
-    made = decided(ca.DM(known), of or found(), Decision(*map(ca.DM, last)), Senses(*map(ca.DM, senses)))
+    made = decided(ca.DM(known), of or found(), Decision(*map(ca.DM, last)), Statistics(*map(ca.DM, statistics)))
     return Decision(*map(float, made))
 
 
@@ -37,14 +37,14 @@ def test_delays_act_from_their_bayes_factors_on():
 
 
 def test_a_decision_is_a_pure_function_of_what_is_known():
-    known, last, senses = (
+    known, last, statistics = (
         found(age=0.01, total=0.02, lag=0.01, age_odds=20, total_odds=9),
         NOTHING._replace(grid=2),
         NO_SENSES,
     )
-    first = decide(known, last, senses)
-    decide(found(age=0.05, age_odds=20), NOTHING, Senses(saturated=0.9))
-    assert decide(known, last, senses) == first
+    first = decide(known, last, statistics)
+    decide(found(age=0.05, age_odds=20), NOTHING, Statistics(saturated=0.9))
+    assert decide(known, last, statistics) == first
 
 
 def test_small_changes_of_what_is_known_change_nothing():
@@ -62,9 +62,9 @@ def test_the_grid_gets_stiffer_step_by_step_and_softer_at_once():
         levels.append(decision.grid)
     assert levels == [1, 2, 3, 4, 4]
     assert decide(found(sd=0.004), decision, NO_SENSES).grid == 2
-    assert decide(found(), decision, Senses(position=2 * DECISION.large_noise)).grid == 3
+    assert decide(found(), decision, Statistics(position=2 * DECISION.large_noise)).grid == 3
     assert decide(found(total=0.03, total_odds=9), decision, NO_SENSES).grid == 3
-    assert decide(found(), decision, Senses(saturated=2 * DECISION.saturated)).grid == DECISION.middle
+    assert decide(found(), decision, Statistics(saturated=2 * DECISION.saturated)).grid == DECISION.middle
 
 
 def test_what_may_be_any_later_is_flown_on_the_softest_grid():
@@ -75,7 +75,7 @@ def test_what_may_be_any_later_is_flown_on_the_softest_grid():
 
 def test_a_disturbance_without_other_evidence_ends_the_softest_grid():
     assert decide(None, NOTHING, NO_SENSES).grid == 0
-    assert decide(None, NOTHING, Senses(acts=True)).grid == 1
+    assert decide(None, NOTHING, Statistics(acts=True)).grid == 1
 
 
 def test_no_grid_is_softer_than_what_was_asked_for():

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from quadexp.control.instant import run
+from quadexp.control.control_step import run
 from quadexp.models.residual import no_residual
-from quadexp.parts.sensor_sheet import SensorSheet, Stated
+from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.physics.state import RATE
 from quadexp.plugins.auto.disturbance import (
     DEVIATIONS,
@@ -26,27 +26,27 @@ PERIOD, NOISE = 0.02, 0.05
 
 
 class Watched:
-    """A filter of a vehicle without drag in hover, told exact thrusts."""
+    """A filter of a vehicle without drag in hover, given exact thrusts."""
 
     def __init__(self, vehicle, *, by_speeds=False, timing=0.0):
         model = no_residual(vehicle)
-        known = sources(vehicle, SensorSheet(accelerometer=Stated(NOISE)), 0.0, by_speeds=by_speeds)
+        known = sources(vehicle, SensorSpec(accelerometer=Stated(NOISE)), 0.0, by_speeds=by_speeds)
         told = {"lateral": np.array([NOISE**2]), "noise": np.zeros(3)}
         told |= {"timing": np.array([timing]), "apart": np.zeros(1)}
         self.about = told
         self.filter = DisturbanceFilter(vehicle, model, model.theta, PERIOD, "interpreted", known, told)
         hover = np.full(vehicle.n_rotors, vehicle.hover_thrust)
-        self.told = {"x": np.eye(13)[3].copy(), "reading": np.zeros(3), "thrust": hover, "mean": hover.copy()}
+        self.inputs = {"x": np.eye(13)[3].copy(), "reading": np.zeros(3), "thrust": hover, "mean": hover.copy()}
         self.read, self.k = np.zeros(1), 0
-        self.operations = self.filter.before(self.told, self.read)
-        self.filter.reset(self.told["x"])
+        self.calls = self.filter.before(self.inputs, self.read)
+        self.filter.reset(self.inputs["x"])
         self.vehicle = vehicle
 
     def step(self, acceleration, read=True):
         """One instant in which this acts beside the thrust (m/s^2); its belief of the force (N)."""
-        self.told["reading"][:] = np.array([0.0, 0.0, self.vehicle.gravity]) + acceleration
+        self.inputs["reading"][:] = np.array([0.0, 0.0, self.vehicle.gravity]) + acceleration
         self.read[0] = read
-        run(self.operations, self.k)
+        run(self.calls, self.k)
         self.filter.memory.commit()
         self.k += 1
         return self.filter.belief[:3].copy()
@@ -110,7 +110,7 @@ def test_a_noise_of_thrust_grows_with_the_thrust(vehicle, rng):
 
 
 def test_a_torque_needs_age_and_delays_that_are_told_apart(vehicle):
-    """Two of 96 wider draws were lost by a torque that swung with the vehicle: of 44 ms of age 6 were believed."""
+    """Two of 96 wider draws were lost by a torque that swung with the vehicle: of 44 ms of age 6 were assumed."""
     for apart, found in ((2 * DISTURBANCE.torque_timed, False), (0.0, True)):
         watched = Watched(vehicle)
         watched.about["apart"][0] = apart
@@ -123,7 +123,7 @@ def test_a_torque_needs_age_and_delays_that_are_told_apart(vehicle):
 def test_the_force_is_that_of_an_extended_kalman_filter(vehicle, rng):
     """Written out for the faster walk, without gates: the model has no drag, so that it is linear in hover."""
     vehicle = replace(vehicle, thrust_coefficient=1e-6)
-    watched = Watched(vehicle, by_speeds=True)  # believed from the first reading on
+    watched = Watched(vehicle, by_speeds=True)  # assumed from the first reading on
     initial = [*[DISTURBANCE.force_initial] * 3, SPEEDS.scale_initial]
     walk = np.diag([*[SPEEDS.force_walk**2] * 3, DISTURBANCE.scale_walk**2]) * PERIOD
     P, estimate = np.diag(np.square(initial)), np.zeros(4)
@@ -145,6 +145,6 @@ def test_the_force_is_that_of_an_extended_kalman_filter(vehicle, rng):
 
 def test_rotor_speeds_tell_where_they_come_often_enough(vehicle):
     vehicle = replace(vehicle, thrust_coefficient=1e-6)
-    assert speeds_tell(vehicle, SensorSheet(rotor_speed=Stated(0.02, delay=0.01)))
-    for other in (SensorSheet(), SensorSheet(rotor_speed=Stated(rate=SPEEDS.least_rate / 4))):
+    assert speeds_tell(vehicle, SensorSpec(rotor_speed=Stated(0.02, delay=0.01)))
+    for other in (SensorSpec(), SensorSpec(rotor_speed=Stated(rate=SPEEDS.least_rate / 4))):
         assert not speeds_tell(vehicle, other)

@@ -65,7 +65,7 @@ def test_noise_of_poor_sensors_is_taken_neither_for_a_wind_nor_for_an_age(seed):
 
 
 def test_where_in_a_period_thrusts_jump_in_a_turn_is_not_taken_for_an_age():
-    """On corners of 8 m/s with commands 10 ms late the state was believed 3.7 ms old, and the error 1.24 times that
+    """On corners of 8 m/s with commands 10 ms late the state was assumed 3.7 ms old, and the error 1.24 times that
     without."""
     path = ["trajectory=rectangle", "trajectory.start=reference", "trajectory.duration=10", "seed=3101"]
     exact = [*path, "world=only_latency", "sensor.accelerometer_noise=[0,0,0]"]
@@ -82,7 +82,7 @@ def test_a_scale_of_swinging_thrusts_is_not_answered_as_a_force():
 
 
 def test_behind_a_corner_the_rotors_do_not_swing_between_their_limits():
-    """The stiffest grid brought six rotors of a light vehicle from limit to limit, .78 m off in the mean."""
+    """The stiffest grid brought six rotors of a light vehicle from limit to limit, 0.78 m off in the mean."""
     light = ["vehicle=hexacopter", "truth.mass=0.792", "truth.inertia=[1.283, 1.127, 0.841]", "world=only_latency"]
     path = ["trajectory=rectangle", "trajectory.start=reference", "trajectory.duration=16", "trajectory.speed=7.59"]
     words = ["controller=perfect_mpc", *light, *path, "controller.allow_unstable=true", "seed=570463"]
@@ -102,7 +102,7 @@ def test_bands_of_a_force_contain_it(controller):
 
 
 def test_the_band_of_a_force_is_wide_while_it_changes():
-    """Of a vehicle heavier than believed, in corners: a force that turns within half a second. Narrow on the sides."""
+    """Of a vehicle heavier than assumed, in corners: a force that turns within half a second. Narrow on the sides."""
     heavy = ["truth.mass=1.26", "controller.allow_unstable=true"]
     path = ["trajectory=rectangle", "trajectory.start=reference", "trajectory.duration=16", "trajectory.speed=6"]
     flight = fly_one(compose(["controller=dfbc", *path, *PATH[2:], *heavy, "remedies=auto"]))
@@ -115,7 +115,7 @@ def test_the_band_of_a_force_is_wide_while_it_changes():
 
 
 def test_a_force_beside_the_thrusts_of_rotor_speeds_is_within_its_band():
-    """Of a vehicle that is heavier than believed, whose scale of the thrust is believed beside the force."""
+    """Of a vehicle that is heavier than assumed, whose scale of the thrust is assumed beside the force."""
     heavy = ["vehicle=hummingbird", "truth.mass=1.29", "world=indoor_mocap", "controller.allow_unstable=true"]
     flight = fly_one(compose(["controller=nominal_mpc", *heavy, *PATH[:1], "seed=5", "remedies=auto"]))
     settled = flight.t > 4
@@ -158,7 +158,7 @@ SUN = ("vehicle=sun", "plant=sun", "trajectory=ellipse", "trajectory.duration=8"
 
 @cache
 def ellipse(world, sensor, *given):
-    """An ellipse at 10 m/s and 20 m/s^2 in a world of Sun et al. 2022, told no lag and no age."""
+    """An ellipse at 10 m/s and 20 m/s^2 in a world of Sun et al. 2022, given no lag and no age."""
     flown = [*SUN, "trajectory.speed=10", "trajectory.acceleration=20", f"world={world}", f"sensor={sensor}"]
     given = given or ("controller.motor_lead=0", "remedies=auto")
     return fly_one(compose([*flown, "controller=sun_mpc", *given]))
@@ -194,8 +194,8 @@ def test_an_unstable_loop_with_rotor_speeds_is_refused_in_a_line(monkeypatch):
     ],
 )
 def test_rotor_speeds_are_worth_what_their_sheet_says(world, sensor, most):
-    """Root mean square over 8 s. Compared with a state and an accelerometer of now, speeds 10 ms late gave .4 m in the
-    first two rows; without them force and mass are .3 m, and an age of 50 ms that nobody finds .5 m."""
+    """Root mean square over 8 s. Compared with a state and an accelerometer of now, speeds 10 ms late gave 0.4 m in the
+    first two rows; without them force and mass are 0.3 m, and an age of 50 ms that nobody finds 0.5 m."""
     found = ellipse(world, sensor)
     assert found.outcome == "ok" and np.sqrt((position_error(found) ** 2).mean()) < most
     believed, off = found.columns["observer_thrust_scale"][-1], world == "sun_mass_30"
@@ -205,13 +205,13 @@ def test_rotor_speeds_are_worth_what_their_sheet_says(world, sensor, most):
 
 
 def test_poses_that_are_late_are_found_before_the_vehicle_is_far_off():
-    """Largest error of an ellipse at 10 m/s and 20 m/s^2, from its start on: with a look every 0.1 s it was .23 m; .15
-    where what was found acted in the instant that it was looked for in, for which a step left C for Python."""
+    """Largest error of an ellipse at 10 m/s and 20 m/s^2, from its start on: with a look every 0.1 s it was 0.23 m;
+    0.15 where what was found acted in the instant that it was looked for in, for which a step left C for Python."""
     assert position_error(ellipse("sun_late_50", "perfect")).max() < 0.21
 
 
 def test_rates_between_a_late_pose_and_now_are_dated():
-    """A gyroscope behind a low pass is 6 ms newer than late poses: 32 ms of age and 36 of dead time were believed as 6
+    """A gyroscope behind a low pass is 6 ms newer than late poses: 32 ms of age and 36 of dead time were assumed as 6
     and 62, and the vehicle was lost or 2.4 times as far off as without (seed 772, draw 13)."""
     late = ["sensor=race_serial", "estimator=late", "estimator.delay=0.0273", "link=latency", "link.latency=0.0313"]
     path = ["trajectory=rectangle", "trajectory.start=reference", "trajectory.duration=10"]
@@ -229,7 +229,7 @@ def test_hover_under_noise_leaves_the_rotors_their_range():
 
 
 def test_a_wind_is_answered_from_the_first_readings_on():
-    """Believed after 0.2 s, with an upward part of 11 m/s, and answered on the softest grid, its error was .25 m."""
+    """Believed after 0.2 s, with an upward part of 11 m/s, and answered on the softest grid, its error was 0.25 m."""
     flight = flown("perfect_mpc", "world=only_wind", "wind.velocity=[5,0,0]", "remedies=auto")
     soon = (flight.t > 0.1) & (flight.t < 0.6)
     for axis, most in (("x", 1.0), ("z", 2.5)):
@@ -240,7 +240,7 @@ def test_a_wind_is_answered_from_the_first_readings_on():
 
 
 def test_a_sheet_that_is_wrong_by_a_factor_of_three_is_survived():
-    """Where rotor speeds were noisier than stated, the scale of the thrust ran down to a half: .2 to .7 m."""
+    """Where rotor speeds were noisier than stated, the scale of the thrust ran down to a half: 0.2 to 0.7 m."""
     for factor in (1 / 3, 3):
         found = fly_one(
             compose(
@@ -262,7 +262,7 @@ def test_what_it_believes_is_true_and_shown():
     lines = "\n".join(beliefs_table(flight).lines())
     assert "age of the state" in lines and "in the band" in lines
     assert len(beliefs_figure(flight).axes) == len(of)
-    with pytest.raises(DataError, match="believed nothing"):
+    with pytest.raises(DataError, match="assumed nothing"):
         beliefs(flown("perfect_mpc", "world=everything", "remedies=none"))
     still = {
         belief.name: belief.identifiable for belief in beliefs(flown("perfect_mpc", "world=clean", "remedies=auto"))
@@ -368,7 +368,7 @@ def test_a_law_flies_corners_in_wind(sensor, seed):
         (["controller=nominal_mpc", "controller.dead_time=0.01"], "finds dead time and lag itself"),
         (["controller=nominal_mpc", "controller.input_hold=command"], "plans with controller.input_hold=deviation"),
         (["controller=nominal_mpc", "observer=disturbance"], ".*; set observer=none$"),
-        (["controller=nominal_mpc", "adaptive=l1", "inner=indi"], ".*; set adaptive=none and inner=none$"),
+        (["controller=nominal_mpc", "adaptive=l1", "rate_loop=indi"], ".*; set adaptive=none and rate_loop=none$"),
         (
             ["controller=rls_mpc", "vehicle=lei_li", "plant=blade_element"],
             ".* a law in closed form, which this one is not$",

@@ -121,7 +121,7 @@ def test_an_hour_at_400_hz(rng):
 
 
 def test_offsets_that_scatter_by_their_own_errors_are_no_drift(rng):
-    """Four stretches of a fast log, whose offsets happen to lie on a line: 0.8 ms a second was believed, and --align
+    """Four stretches of a fast log, whose offsets happen to lie on a line: 0.8 ms a second was assumed, and --align
     brought an accelerometer out of step by 28 ms."""
     from quadexp.plugins.logs.signal import offset
 

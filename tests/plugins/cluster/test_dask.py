@@ -164,7 +164,7 @@ class TestMistakes:
     def test_a_scheduler_that_is_not_there(self, tmp_path, monkeypatch):
         monkeypatch.setattr("quadexp.plugins.cluster.cluster.CONNECT", 0.5)
         engine = built_engine(compose(["engine=dask", "engine.address=tcp://127.0.0.1:1"]))
-        with pytest.raises(QuadexpError, match="engine.address=tcp://127.0.0.1:1 cannot be had") as caught:
+        with pytest.raises(QuadexpError, match="engine.address=tcp://127.0.0.1:1 is not found") as caught:
             run_sweep(expand(SHORT), tmp_path / "r", engine=engine)
         assert "\n" not in str(caught.value)
 

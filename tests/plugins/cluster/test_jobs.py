@@ -87,7 +87,7 @@ def test_what_a_queue_refuses_is_said_before_anything_is_flown(queue, tmp_path):
         sbatch=REFUSE.format(folder=tmp_path),
         python=f'#!/bin/sh\n{sys.executable} -c "import sys; print(sys.path)" > {seen}\n',
     )
-    with pytest.raises(QuadexpError, match="engine=jobs cannot be had: the queue is closed"):
+    with pytest.raises(QuadexpError, match="engine=jobs is not found: the queue is closed"):
         run_sweep(expand([GRID]), tmp_path / "r", engine=engine_of(python=tmp_path / "programs" / "python"))
     assert not (tmp_path / "r").exists()
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"}

@@ -167,7 +167,7 @@ def test_a_scheduler_that_runs_already(tmp_path):
         assert away.flown == 12 and not away.not_flown
         same_results(run_sweep(expand([GRID]), tmp_path / "home", function=cells.quick_cell, workers=1), away)
         for others in (settings(certificate(tmp_path / "other")), contextlib.nullcontext()):
-            with others, pytest.raises(QuadexpError, match="cannot be had") as error:
+            with others, pytest.raises(QuadexpError, match="is not found") as error:
                 run_sweep(expand([GRID]), tmp_path / "r", function=cells.quick_cell, engine=engine)
             assert "\n" not in str(error.value) and not (tmp_path / "r").exists()
     finally:

@@ -27,7 +27,7 @@ def test_twenty_points_find_drag_and_motor_loss():
     model = fit_gp(synthetic_dataset(rows=5000), GPConfig(inducing=20))
     errors = error_against_truth(model, synthetic_dataset(rows=3000, seed=1))
     assert max(errors.values()) < 0.015, errors
-    for output in model.outputs:  # the noise that was put in: .05
+    for output in model.outputs:  # the noise that was put in: 0.05
         assert np.sqrt(output.noise_variance) == pytest.approx(0.05, rel=0.04)
 
 

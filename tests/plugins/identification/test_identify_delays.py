@@ -66,7 +66,7 @@ def test_uneven_samples_are_refused():
 
 @pytest.mark.parametrize(("without", "said"), [("u_", "commands of the rotors"), ("acc_", "accelerometer, and acc_x")])
 def test_a_log_without_commands_or_accelerometer_is_refused(without, said):
-    """As imported logs are whose motors were told in numbers of a driver."""
+    """As imported logs are whose motors were given in numbers of a driver."""
     flight = fly_one(compose(["controller=nominal_mpc", "trajectory=hover", "trajectory.duration=1"]))
     columns = {name: values for name, values in flight.columns.items() if not name.startswith(without)}
     with pytest.raises(DataError, match=f"log: delays are found from the {said}"):
@@ -102,7 +102,7 @@ def test_a_sum_that_is_known_is_set():
 
 
 def test_a_log_whose_parts_are_unsure_sets_its_sum(tmp_path):
-    """No lag of the motors: dead time and lag are told apart by a log at 100 Hz only roughly."""
+    """No lag of the motors: dead time and lag are significantly different by a log at 100 Hz only roughly."""
     flight, path = late_flight(0.02, 0.03), tmp_path / "log.parquet"
     write_flight(path, flight)
     report = identify_delays([path], None, None)

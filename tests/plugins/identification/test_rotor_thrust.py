@@ -167,7 +167,7 @@ def fitted(vehicle, effects, **options):
 
 def test_flights_that_are_too_short_to_tell_are_refused_in_one_line(vehicle):
     """numpy said that there is no array to concatenate."""
-    with pytest.raises(DataError, match=r"longer than 0\.3 s.*collect\.thrust=commanded"):
+    with pytest.raises(DataError, match=r"longer than 0\0.3 s.*collect\.thrust=commanded"):
         fitted(vehicle, [Latency()], seconds=0.2)
 
 
@@ -222,7 +222,7 @@ def test_the_lag_and_the_delay_are_found_by_what_remains(vehicle, clean, effects
     ids=["lag", "battery", "battery and spread"],
 )
 def test_rotor_speeds_say_what_the_rotors_delivered(vehicle, clean, effects):
-    """Whatever scale and voltage do; a late state is then told from late commands. A scale of c_t, which no speed
+    """Whatever scale and voltage do; a late state is then given from late commands. A scale of c_t, which no speed
     shows, stays in the residual."""
     vehicle = replace(vehicle, thrust_coefficient=K)
     found, _ = fitted(vehicle, [*effects, StatedEstimate(delay=0.012)])
@@ -237,7 +237,7 @@ def test_rotor_speeds_say_what_the_rotors_delivered(vehicle, clean, effects):
 
 
 def test_noise_of_the_estimate_leaves_the_mean_lag(vehicle):
-    """3 cm/s and .05 rad/s leave 2 m/s^2 of noise in the target; the lag is still found, as one."""
+    """3 cm/s and 0.05 rad/s leave 2 m/s^2 of noise in the target; the lag is still found, as one."""
     noise = StatedEstimate(velocity_noise=0.03, rate_noise=0.05)
     found, _ = fitted(vehicle, [Actuator(time_constant_up=0.03, time_constant_down=0.03), noise], seconds=8.0)
     assert found.timing.lag + found.timing.delay == pytest.approx(0.03, rel=0.2)
@@ -245,7 +245,7 @@ def test_noise_of_the_estimate_leaves_the_mean_lag(vehicle):
 
 
 def test_known_noise_lets_a_delay_be_seen_that_it_would_hide(vehicle):
-    """A state 12 ms late under 5 cm/s and .1 rad/s of noise, with rotor speeds: told of the noise, it is found."""
+    """A state 12 ms late under 5 cm/s and 0.1 rad/s of noise, with rotor speeds: given the noise, it is found."""
     vehicle = replace(vehicle, thrust_coefficient=K)
     told = StatedEstimate(velocity_noise=0.05, rate_noise=0.1, delay=0.012)
     flights = [wandering(vehicle, [LAGGING, told], seconds=8.0, seed=seed) for seed in range(2)]

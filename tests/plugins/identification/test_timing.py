@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from quadexp.control.control_step import run
 from quadexp.control.delivered import SentCommands
-from quadexp.control.instant import run
 from quadexp.physics.state import ATTITUDE, VELOCITY
 from quadexp.plugins.identification.moments import BEGINS, ROUND, SPAN, Moments, Stream, half_of
 from quadexp.plugins.identification.timing import LARGEST, SMALL_STEP, Search

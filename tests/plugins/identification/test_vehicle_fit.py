@@ -105,7 +105,7 @@ def test_the_ladder_ends_at_the_truth():
 def test_a_model_that_the_flights_cannot_tell_is_left_out_and_said():
     flight = logged_flight(0)
     steady = {"v_x": 0.7 + 1e-4 * flight["v_x"]} | {f"q_{a}": np.full(len(flight), float(a == "w")) for a in "wxyz"}
-    with pytest.raises(DataError, match="linear drag along x: linear_x, offset_x cannot be told apart"):
+    with pytest.raises(DataError, match="linear drag along x: linear_x, offset_x cannot be distinguished"):
         fit_vehicle_model([Flight(flight.columns | steady, flight.metadata)])
     level = {"v_z": 0 * flight["v_z"] + 0.3 * np.sign(np.sin(flight.t))} | {
         k: v for k, v in steady.items() if k[0] == "q"

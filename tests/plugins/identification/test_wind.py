@@ -59,7 +59,7 @@ def test_the_air_velocity_is_that_of_scipy_s_rotation(rng):
 @pytest.mark.parametrize("frame", ["midpoint", "start"])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_linear_drag_is_the_truth_in_a_flight_integrated_in_wind(frame, seed):
-    """Newton-Euler in numpy with drag on R'(v - wind), turned in the middle; D = .654 N s/m over 1.2 kg."""
+    """Newton-Euler in numpy with drag on R'(v - wind), turned in the middle; D = 0.654 N s/m over 1.2 kg."""
     drag, rng = np.array([0.654, 0.654, 0.3]), np.random.default_rng(seed)
     dt, x, rows = 0.01, np.r_[np.zeros(3), 0.9, 0.2, -0.3, 0.25, 8.0, -5.0, 3.0, 0.5, -0.8, 0.3], []
     x[3:7] /= np.linalg.norm(x[3:7])

@@ -145,7 +145,7 @@ def test_the_rate_integral_stands_still_where_the_mixer_is_saturated():
     saturated = []
 
     def note(t):
-        saturated.append((controller.running.instant.held[0] > 0, controller.memory.now[11]))
+        saturated.append((controller.running.control_step.saturated[0] > 0, controller.memory.now[11]))
 
     fly(Body(vehicle), controller, at_rest(), 0.6, lambda t: window, note)
     held = [after - before for (_, before), (now, after) in zip(saturated, saturated[1:], strict=False) if now]

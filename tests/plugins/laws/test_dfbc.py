@@ -88,7 +88,7 @@ def test_what_is_believed_is_taken_away(vehicle):
 
 @pytest.mark.parametrize("law", [controller, lambda vehicle, air: Geometric().controller(vehicle, air)])
 def test_a_believed_scale_of_the_air_is_a_model_with_so_much_more_drag(vehicle, law):
-    """DFBC and geometric control, turned and fast, in a believed wind."""
+    """DFBC and geometric control, turned and fast, in a assumed wind."""
     drag, still, wind = np.array([0.4, 0.3, 0.1]), np.zeros(3), np.array([1.0, -2.0, 0.5])
     x = np.concatenate([np.zeros(3), Rotation.from_rotvec([0.03, -0.05, 0.04]).as_quat(scalar_first=True), np.zeros(6)])
     x[VELOCITY], x[RATE] = (5.0, -3.0, 1.0), (0.2, -0.1, 0.1)
@@ -154,7 +154,7 @@ def flown(vehicle, dfbc, world, duration=8.0):
 
 
 def test_a_force_moves_it_by_what_the_position_gain_says_and_a_belief_brings_it_back(vehicle):
-    """Steady error F / (m K_p), without; none with the force and the torque believed."""
+    """Steady error F / (m K_p), without; none with the force and the torque assumed."""
     force, torque = np.array([0.8, -0.5, 0.6]), np.array([0.02, -0.01, 0.005])
     plant = SimplifiedPlant(vehicle, PlantEffects.none(), backend="interpreted")
     push = World(plant, [Disturbance(force=tuple(force))])

@@ -30,7 +30,7 @@ def written(tmp_path):
     return write
 
 
-def built(path, *overrides):
+def cached_function(path, *overrides):
     config = compose(["trajectory=file", f"trajectory.path={path}", *overrides])
     return build_trajectory(config.trajectory, build_vehicle(config.vehicle))
 
@@ -81,7 +81,7 @@ def test_tum_round_trip_with_comments_and_tilted_attitude(written, circle_rows):
 @pytest.mark.parametrize("vehicle", ["torrente", "lei_li", "crazyflie"])
 @pytest.mark.parametrize("speed", ["null", "2.5"])
 def test_without_times_as_fast_as_speed_and_limits_allow(written, text, vehicle, speed):
-    path = built(written(text), f"vehicle={vehicle}", f"trajectory.speed={speed}")
+    path = cached_function(written(text), f"vehicle={vehicle}", f"trajectory.speed={speed}")
     points = np.genfromtxt(text.splitlines(), delimiter=",", skip_header=1)
     t = np.linspace(0.0, path.duration, 20_001)
     position = path.flat_output(t).position
@@ -94,7 +94,7 @@ def test_without_times_as_fast_as_speed_and_limits_allow(written, text, vehicle,
 
 
 def test_two_points_fly_the_known_polynomial(written):
-    path = built(written(TWO), "trajectory.speed=1")
+    path = cached_function(written(TWO), "trajectory.speed=1")
     s = np.linspace(0, 1, 21)
     share = 35 * s**4 - 84 * s**5 + 70 * s**6 - 20 * s**7
     position = path.flat_output(s * path.duration).position[:, 0]
@@ -105,7 +105,7 @@ def test_two_points_fly_the_known_polynomial(written):
 
 def test_times_and_yaw_are_kept(written):
     """Every point at its time, from the first row's on; the yaw goes the shorter way round, with its derivatives."""
-    path = built(written("yaw,t,x,y,z,note\n3.0,2,0,0,1,7\n-3.0,5,3,0,2,7\n-2.5,7.5,4,4,2,7\n"))
+    path = cached_function(written("yaw,t,x,y,z,note\n3.0,2,0,0,1,7\n-3.0,5,3,0,2,7\n-2.5,7.5,4,4,2,7\n"))
     t = np.array([0.0, 3.0, 5.5])
     flat = path.flat_output(t)
     np.testing.assert_allclose(flat.position[:, 0], [[0, 0, 1], [3, 0, 2], [4, 4, 2]], atol=1e-9)
@@ -180,7 +180,7 @@ def test_the_files_of_the_guide_are_what_the_program_reads(written):
     blocks = re.findall(r"\n((?:    (?:t,p_x|x,y,z)[^\n]*\n)(?:    [^\n]+\n)+)", (ROOT / "docs/guide.md").read_text())
     assert {block.strip()[0] for block in blocks} == {"x", "t"}
     for block in blocks:
-        assert built(written("\n".join(line.strip() for line in block.strip().splitlines()))).duration > 0
+        assert cached_function(written("\n".join(line.strip() for line in block.strip().splitlines()))).duration > 0
 
 
 def test_the_heading_of_an_attitude_is_flown(written):
@@ -251,5 +251,5 @@ def test_degrees_of_a_heading_are_recognised(written, name, heading):
 
 
 def test_a_heading_that_says_no_unit_is_refused(written):
-    with pytest.raises(DataError, match=r"yaw reaches 90, 14\.3 turns in rad: name the column yaw_deg"):
+    with pytest.raises(DataError, match=r"yaw reaches 90, 14\0.3 turns in rad: name the column yaw_deg"):
         heading_track(written, "yaw", lambda a: 90 * np.cos(5 * a), lambda t: 0.2 * t)

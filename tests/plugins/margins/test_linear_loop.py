@@ -20,7 +20,7 @@ from quadexp.world.world import World
 
 
 # ------------------------------------------------------------------------------------------------------ analytic cases
-def held(period: float, *constants: float) -> tuple[np.ndarray, np.ndarray]:
+def saturated_count(period: float, *constants: float) -> tuple[np.ndarray, np.ndarray]:
     """A double integrator behind first-order lags of some time constants, with an input held for a period."""
     F = np.zeros((3 + len(constants), 3 + len(constants)))
     F[0, 1], F[1, 2] = 1.0, 1.0
@@ -31,7 +31,7 @@ def held(period: float, *constants: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def pd_loop(kp: float, kd: float, period: float) -> LinearLoop:
-    A, B = held(period)
+    A, B = saturated_count(period)
     return LinearLoop([Phase(A, B, -np.array([[kp, kd]]))], period, np.ones(2, bool), np.zeros(2, bool))
 
 
@@ -50,7 +50,7 @@ def test_margins_of_a_double_integrator_under_pd_control():
 def test_numbers_that_are_always_equal_are_one():
     """Commands that a filter, a prediction and an MPC keep each for itself were 86 of 206 numbers, and a margin cost
     half the flight. The loop is the same."""
-    A, B = held(0.05)
+    A, B = saturated_count(0.05)
     own, copies, kept = 2, 3, 5
     size = own + copies * kept
     whole, drive, gain = np.zeros((size, size)), np.zeros((size, 1)), np.zeros((1, size))
@@ -77,7 +77,7 @@ def test_delays_and_lags_of_a_sampled_loop_are_exact(period):
     def late(delay: float) -> float:
         whole, rest = divmod(delay, period)
         whole = int(whole)
-        (A1, B1), (A2, B2) = held(rest), held(period - rest)
+        (A1, B1), (A2, B2) = saturated_count(rest), saturated_count(period - rest)
         M = np.zeros((4 + whole, 4 + whole))[: 3 + whole, : 3 + whole]
         M[:2, :2] = A2 @ A1
         commands = np.vstack([np.hstack([-K, np.zeros((1, 1 + whole))]), np.eye(3 + whole)[2:]])
@@ -86,7 +86,7 @@ def test_delays_and_lags_of_a_sampled_loop_are_exact(period):
         return math.log(np.abs(np.linalg.eigvals(M)).max()) / period
 
     def lagging(lag: float) -> float:
-        A, B = held(period, lag)
+        A, B = saturated_count(period, lag)
         return math.log(np.abs(np.linalg.eigvals(A - B @ np.hstack([K, [[0.0]]]))).max()) / period
 
     for time in (0.3 * period, period, 1.7 * period, 3.2 * period):
@@ -101,7 +101,7 @@ def test_delays_and_lags_of_a_sampled_loop_are_exact(period):
 def test_a_loop_at_two_rates_is_that_of_the_slow_one():
     """A command that is computed at every third instant and held is a loop at a third of the rate."""
     kp, kd, period = 9.0, 4.2, 0.03
-    A, B = held(period)
+    A, B = saturated_count(period)
     K, z = -np.array([[kp, kd]]), np.zeros
     body = np.block([[A, z((2, 1))], [z((1, 2)), np.eye(1)]])  # what is held is remembered
     first = Phase(
@@ -120,7 +120,7 @@ def test_what_is_not_between_command_and_command_is_no_part_of_the_loop():
     """An integrator of the position that nobody reads, and one that the command drives and nobody reads, do not count;
     nor does a covariance that grows by itself."""
     kp, kd, period = 9.0, 4.2, 0.05
-    A, B = held(period)
+    A, B = saturated_count(period)
     A, B = np.block([[A, np.zeros((2, 2))], [np.eye(2), 1.5 * np.eye(2)]]), np.vstack([B, [[1.0], [0.0]]])
     C = np.array([[-kp, -kd, 0.0, 0.0]])
     loop = LinearLoop([Phase(A, B, C)], period, np.array([True, True, False, False]), np.zeros(4, bool))
@@ -150,11 +150,12 @@ def test_the_bare_mpc_has_the_margins_that_another_program_found(settings, delay
 
 
 NOISELESS = "estimator.position_noise=0 estimator.velocity_noise=0 estimator.attitude_noise=0 estimator.rate_noise=0"
-# Controller x remedy x vehicle x world x rate. Motors lag as much up as down: otherwise nothing is linear at rest.
+# Controller x compensation x vehicle x world x rate. Motors lag as much up as down: otherwise nothing is linear at
+# rest.
 COMBINATIONS = {
     "published": "controller=nominal_mpc",
     "observer": "controller=nominal_mpc observer=disturbance",
-    "indi": "controller=nominal_mpc inner=indi",
+    "indi": "controller=nominal_mpc rate_loop=indi",
     "strapdown": "controller=nominal_mpc horizon=robust estimator=late estimator.delay=0.03 delay=strapdown"
     " delay.time=0.03 estimator.gyro=fresh",
     "geometric": "controller=geometric",
@@ -172,14 +173,14 @@ COMBINATIONS = {
     "race": f"controller=nominal_mpc world=race battery=none link.jitter=0 {NOISELESS}"
     " actuator.time_constant_down=0.0125",
     "scales_indi": "controller=nominal_mpc observer=disturbance observer.force_bandwidth=100 observer.force_limit=50"
-    " observer.torque_bandwidth=0 observer.scale_walk=0.005 observer.air_walk=0.01 inner=indi inner.cutoff=30",
+    " observer.torque_bandwidth=0 observer.scale_walk=0.005 observer.air_walk=0.01 rate_loop=indi rate_loop.cutoff=30",
     "l1": "controller=nominal_mpc adaptive=l1",
     "prediction": "controller=nominal_mpc horizon=robust estimator=late estimator.delay=0.03 delay=prediction"
     " delay.time=0.03",
     "late": "controller=nominal_mpc horizon=robust estimator=late estimator.delay=0.03",
     "rate_100": "controller=nominal_mpc controller.rate=100",
     "rate_25": "controller=nominal_mpc controller.rate=25",
-    "geometric_indi": "controller=geometric inner=indi",
+    "geometric_indi": "controller=geometric rate_loop=indi",
     "geometric_observer": "controller=geometric observer=disturbance",
     "geometric_l1": "controller=geometric adaptive=l1",
     "geometric_prediction": "controller=geometric estimator=late delay=prediction observer=disturbance",

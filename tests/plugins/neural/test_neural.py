@@ -29,7 +29,7 @@ def network(data) -> NeuralModel:
 
 
 def test_it_learns_what_linear_drag_cannot():
-    """On held-out flights with noise of .05 m/s^2: quadratic drag, and the loss of the motors on z."""
+    """On held-out flights with noise of 0.05 m/s^2: quadratic drag, and the loss of the motors on z."""
     train, test = split_by_flight(synthetic_dataset(rows=6000), 0.3, 0)
     rows = evaluate(replace(QUICK, max_iterations=250).fit(train), train, test)
     error = {(row["output"], row["predictor"]): row["rmse"] for row in rows}

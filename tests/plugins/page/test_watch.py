@@ -25,7 +25,7 @@ def out(tmp_path, monkeypatch):
 
 def fly(watch, *flights):
     for one in flights:
-        watch.landed(one)
+        watch.on_result(one)
         watch.progress(len(watch.live.rows), 4)
 
 
@@ -44,12 +44,12 @@ def test_the_page_grows_and_its_numbers_are_those_of_the_flights(out):
         fly(watch, row(seed=0, error=0.2), row(seed=1, error=0.3), row("gp_mpc", error=0.9, outcome="lost"))
         text = shown(watch.path, "3 of 4 flights")
         assert AGAIN in text and 'max="4" value="3"' in text
-        columns, flown, line = watch.shot().table().columns, *watch.shot().table().rows
+        columns, flown, line = watch.snapshot().table().columns, *watch.snapshot().table().rows
         assert columns == ["trajectory", "m/s", "nominal_mpc", "gp_mpc"]
         assert flown == ["flown", "", "2 of 2", "0 of 1"]
         assert line[2].startswith("250.0 [") and line[3] == "1 lost"  # (0.2 + 0.3) / 2 m
         fly(watch, row("gp_mpc", seed=1, error=0.004))
-        assert watch.shot().table().rows[1][2:] == ["300.0 (all 2: 250.0)", "4.00 (1 lost)"]
+        assert watch.snapshot().table().rows[1][2:] == ["300.0 (all 2: 250.0)", "4.00 (1 lost)"]
     left = (out / FILE).read_text()
     assert "4 of 4 flights, finished" in left and AGAIN not in left and "all 2: 250.0" in left
 

@@ -22,7 +22,7 @@ REPETITIONS = 40
 LEAST_HELD = 36  # 90 %
 
 
-def held(fits) -> np.ndarray:
+def saturated_count(fits) -> np.ndarray:
     """In how many fits each interval holds the truth, (5,)."""
     return sum((np.abs(fit.theta - TRUE) <= fit.half_width).astype(int) for fit in fits)
 
@@ -37,7 +37,7 @@ def test_intervals_hold_the_truth_in_nine_of_ten_repetitions(lei_li, memory, off
         noise = lfilter([0.05], [1, -memory], rng.normal(size=data.specific_force.shape), axis=0)
         force = data.specific_force + noise + offset * rng.normal(size=3)
         fits.append(fit_blade_element(lei_li, data.velocity, data.rotor_speed, force, FIRST_VALUES))
-    assert np.all(held(fits) >= LEAST_HELD), dict(zip(THETA, held(fits), strict=True))
+    assert np.all(saturated_count(fits) >= LEAST_HELD), dict(zip(THETA, saturated_count(fits), strict=True))
     half = np.mean([fit.half_width for fit in fits], axis=0)
     scatter = 1.96 * np.std([fit.theta for fit in fits], axis=0)
     assert np.all(half < 2 * scatter), "intervals that hold the truth because they are far too wide"
@@ -60,7 +60,7 @@ def test_intervals_hold_the_truth_in_flown_repetitions(name):
             overrides = ["vehicle=lei_li", "plant=blade_element", "sensor=lei_li", *FLIGHTS[name], f"seed={seed}"]
             config = composer.compose(overrides)
             fits.append(identify_flight(fly_one(config), build_vehicle(config.vehicle)).fit)
-    assert np.all(held(fits) >= LEAST_HELD), dict(zip(THETA, held(fits), strict=True))
+    assert np.all(saturated_count(fits) >= LEAST_HELD), dict(zip(THETA, saturated_count(fits), strict=True))
 
 
 def test_is_exact_without_noise_from_far_away(lei_li):

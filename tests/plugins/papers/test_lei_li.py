@@ -84,7 +84,9 @@ def test_the_families():
     ]
     table = families_table(rows).splitlines()
     assert table[2] == "| plant | trajectory | m/s | gp_mpc | rls_mpc | perfect_mpc | static_feedback |"
-    assert table[4] == "| blade_element | circle | 4 | 200 |  |  |  |", "one controller is not told apart from another"
+    assert table[4] == "| blade_element | circle | 4 | 200 |  |  |  |", (
+        "one controller is not significantly different from another"
+    )
     assert table[5] == "| blade_element | circle | 8 | 6 | **2** | 1 | 1 of 12 lost |"
     (panel,) = means_figure(means_by_place(rows, "plant")).axes
     lines = {one.get_label(): tuple(map(list, one.lines[0].get_data())) for one in panel.containers}

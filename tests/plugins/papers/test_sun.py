@@ -94,7 +94,7 @@ def test_a_lost_flight_counts_five_metres():
 
 def test_controllers_are_compared_by_ellipse_with_the_same_remedies():
     """One that is 1 cm worse on each of eight ellipses differs, although they scatter by a metre; bare, it does not.
-    A flight that crashes on every ellipse counts 5 m. Intervals by Student's t: 2.365 = t(.975, 7)."""
+    A flight that crashes on every ellipse counts 5 m. Intervals by Student's t: 2.365 = t(0.975, 7)."""
     base, rows = np.linspace(0.1, 1.1, 8), []
     for i, error in enumerate(base):
         ellipse = {"speed": 5.0, "variant": f"trajectory.acceleration={10 + i}"}
@@ -219,8 +219,8 @@ def test_worlds_are_what_their_names_say():
 
 
 def test_a_late_pose_hides_its_own_delay():
-    """What the controller is told follows the reference, the truth is ahead of it by 30 ms at 10 m/s; and the error as
-    logged is that of what it was told, against the reference of two steps before."""
+    """What the controller is given follows the reference, the truth is ahead of it by 30 ms at 10 m/s; and the error as
+    logged is that of what it was given, against the reference of two steps before."""
     found = flight("controller=sun_nmpc", "world=sun_late_30", "trajectory.duration=4")
     told = np.stack([found[f"est_p_{axis}"] for axis in "xyz"], axis=1)
     given = {"plane": "horizontal", "speed": 10.0, "acceleration": 20.0, "ratio": 1.0}

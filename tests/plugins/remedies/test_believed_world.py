@@ -1,4 +1,4 @@
-"""A disturbance, a wind and a thrust scale that are believed: against simulations of a world that has them."""
+"""A disturbance, a wind and a thrust scale that are assumed: against simulations of a world that has them."""
 
 import os
 from dataclasses import replace
@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.base import Belief, Measurement, Window
-from quadexp.control.instant import Told, run
+from quadexp.control.control_step import InputArrays, run
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.prediction import node_function
@@ -113,10 +113,10 @@ def test_the_dead_time_is_predicted_in_the_believed_world(vehicle, rng, lag):
 
 def entered(controller, x, window) -> np.ndarray:
     """The state (13,) in the plan's frame, where all that stands before the plan has been done."""
-    told = Told(4)
-    told.tell(Measurement(0.0, x, None, None), window)
-    operations, inside = controller.believed.before(told, told.state)
-    run(operations, window=window)
+    told = InputArrays(4)
+    told.set_measurement(Measurement(0.0, x, None, None), window)
+    calls, inside = controller.believed.before(told, told.state)
+    run(calls, window=window)
     return inside
 
 

@@ -49,7 +49,7 @@ def test_command_delay_and_age_are_predicted_apart():
 
 
 def test_a_remedy_is_part_of_the_loop():
-    """A short first node and 50 ms: refused without a remedy, flown with one, refused with half of it."""
+    """A short first node and 50 ms: refused without a compensation, flown with one, refused with half of it."""
     world = [*FAST, "controller=nominal_mpc", "trajectory=hover", "trajectory.duration=0.5", "horizon=precise"]
     world += ["estimator=late", "estimator.delay=0.05"]
     with pytest.raises(InfeasibleError, match=r"commands and measurements that are late by 50 ms"):
@@ -94,7 +94,7 @@ def mean_error(*overrides) -> float:
 
 @pytest.mark.slow
 def test_everything_at_once():
-    """Delays told, and found by one setting, as docs/delays.md has them, on seeds of which nobody knew."""
+    """Delays given, and found by one setting, as docs/delays.md has them, on seeds of which nobody knew."""
     told = ["horizon=firm", "motor=states", "observer=wind", "observer.targets=false", "delay=prediction"]
     told += ["controller.dead_time=0.01", "controller.motor_lag=0.03", "delay.time=0.01"]
     assert mean_error(*told) < 17

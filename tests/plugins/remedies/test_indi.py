@@ -8,8 +8,8 @@ from scipy.signal import butter
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.control.base import Measurement, Window
+from quadexp.control.control_step import InputArrays, run
 from quadexp.control.delivered import DeliveredThrust
-from quadexp.control.instant import Told, run
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_vehicle
 from quadexp.parts.compose import compose
@@ -74,7 +74,7 @@ def low_pass(frequency, cutoff=FAST.cutoff):
 @pytest.mark.parametrize("frequency", [2.0, 8.0])
 @pytest.mark.parametrize("inertia", [1.0, 2.0], ids=["right", "half"])
 def test_transfer_functions(vehicle, frequency, inertia):
-    """alpha/alpha* = D M/(1 + (D - 1) H M), alpha/d = J^-1 (1 - H M)/(1 + (D - 1) H M), D: J believed by J true."""
+    """alpha/alpha* = D M/(1 + (D - 1) H M), alpha/d = J^-1 (1 - H M)/(1 + (D - 1) H M), D: J assumed by J true."""
     D, H, M = 1 / inertia, low_pass(frequency), motor(frequency)
     closed, J = 1 + (D - 1) * H * M, inertia * vehicle.inertia_matrix[0, 0]
     found = Loop(vehicle, FAST, inertia=inertia).response(frequency, wanted=2.0) / 2.0
@@ -162,10 +162,10 @@ def test_a_controller_that_asks_for_no_reference_begins_in_hover(vehicle):
 
 def test_rates_that_do_not_divide_are_refused(vehicle):
     with pytest.raises(
-        UsageError, match=r"inner.rate=250: must be a whole multiple of the controller's rate of 100 Hz"
+        UsageError, match=r"rate_loop.rate=250: must be a whole multiple of the controller's rate of 100 Hz"
     ):
         INDI(rate=250.0).around(Held(vehicle, np.zeros(4), 0.01))
-    with pytest.raises(UsageError, match="inner.cutoff=200: must be below half"):
+    with pytest.raises(UsageError, match="rate_loop.cutoff=200: must be below half"):
         INDI(cutoff=200.0, backend="interpreted").around(Held(vehicle, np.zeros(4), 0.01))
 
 
@@ -173,7 +173,7 @@ def test_rates_that_do_not_divide_are_refused(vehicle):
 def test_a_torque_is_not_taken_away_twice(bandwidth):
     """An observer's torque and INDI's answer to it are the same: refused by name."""
     given = ["controller=sun_mpc", "controller.backend=interpreted", "vehicle=sun", "plant=sun"]
-    given += ["observer=disturbance", "inner=indi"]
+    given += ["observer=disturbance", "rate_loop=indi"]
     config = compose([*given, f"observer.torque_bandwidth={bandwidth}"])
     vehicle = build_vehicle(config.vehicle)
 
@@ -195,7 +195,7 @@ def test_commands_through_the_right_lag_are_as_good_as_rotor_speeds(vehicle):
     loops = [keys.around(Held(v, hover, 1 / 300)) for v in (measuring, vehicle)]
     motors, w = DeliveredThrust(vehicle, 1 / 300, lag=TAU), window(vehicle, hover)
     motors.reset(hover)
-    run(motors.before(Told(4)))
+    run(motors.before(InputArrays(4)))
     for loop in loops:
         loop.reset(w.state[0], w)
     for k in range(60):
@@ -207,7 +207,7 @@ def test_commands_through_the_right_lag_are_as_good_as_rotor_speeds(vehicle):
         assert one == pytest.approx(other, abs=1e-6)
         run(motors.after(one))
         motors.memory.commit()
-        run(motors.before(Told(4)))
+        run(motors.before(InputArrays(4)))
 
 
 def test_the_spin_up_torque_is_part_of_the_answer(vehicle):
@@ -234,7 +234,7 @@ def test_the_spin_up_torque_is_part_of_the_answer(vehicle):
 
 @pytest.mark.parametrize("age", [0.0, 0.01])
 def test_rates_are_compared_with_thrusts_of_their_time(vehicle, age):
-    """A vehicle that spins up under a growing torque, told of its rotors' speeds `age` late, gets the torque that is
+    """A vehicle that spins up under a growing torque, given its rotors' speeds `age` late, gets the torque that is
     wanted on top of what it has; compared with rates of now it would miss the growth in that time."""
     vehicle, keys, growth = replace(vehicle, thrust_coefficient=1e-6), INDI(backend="interpreted"), 20.0  # rad/s^3
     spin = np.linalg.pinv(vehicle.allocation) @ np.array([0, vehicle.inertia_matrix[0, 0], 0, 0])  # N for 1 rad/s^2

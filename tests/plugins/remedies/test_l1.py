@@ -175,7 +175,7 @@ def test_a_bandwidth_far_above_the_motors_loses_the_vehicle_unless_it_knows_them
 
 
 def test_ninety_percent_more_mass_as_hanover_et_al_fly_it():
-    """Published: .434 -> .007 m at 2.5 m/s (98 %); the first second, in which it falls, is in ours."""
+    """Published: 0.434 -> 0.007 m at 2.5 m/s (98 %); the first second, in which it falls, is in ours."""
     given = ["controller=nominal_mpc", "plant=ideal", "truth.mass=1.9", "trajectory.speed=2.5"]
     plain, adapted = (
         fly_one(compose([*given, *extra])).metadata["row"]["mean_error"] for extra in ([], ["adaptive=l1"])
@@ -222,7 +222,7 @@ def test_around_every_controller(controller):
 
 
 def test_what_it_cannot_be_put_around_is_said():
-    with pytest.raises(UsageError, match="adaptive.unmatched=true: this controller cannot be told of a force"):
+    with pytest.raises(UsageError, match="adaptive.unmatched=true: this controller cannot be given a force"):
         fly_one(compose(["controller=pid", "adaptive=l1", "adaptive.unmatched=true"]))
     from quadexp.control.wrapped import WrappedController
 

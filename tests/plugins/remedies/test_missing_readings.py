@@ -26,7 +26,7 @@ def error(share, *words):
 @pytest.mark.parametrize(
     ("words", "most"),
     [
-        (("controller=perfect_mpc", "observer=wind"), 1.3),  # 5 times, where it forgot what it believed
+        (("controller=perfect_mpc", "observer=wind"), 1.3),  # 5 times, where it forgot what it assumed
         (("controller=nominal_mpc", "observer=disturbance"), 1.2),
         (("controller=nominal_mpc", "observer=disturbance", "observer.scale_walk=0.005"), 1.2),
         (("controller=geometric", "observer=disturbance"), 1.2),

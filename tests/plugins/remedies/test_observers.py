@@ -152,7 +152,7 @@ def test_no_error_with_another_mass(vehicle, share):
 
 @pytest.mark.parametrize("settings", [{}, {"scale_walk": 0.0, "noise": (0.1, 0.1, 0.3)}], ids=["default", "wind only"])
 def test_no_error_in_a_constant_wind(vehicle, settings):
-    """At rest a wind and a thrust scale cannot be told apart, and need not be; the wind alone is found."""
+    """At rest a wind and a thrust scale cannot be distinguished, and need not be; the wind alone is found."""
     residual = make_residual("gp_with_mean", vehicle)
     push = ((0, 0, 0), (0.02, -0.01, 0.0), (5.0, -2.0, 0.5))
 
@@ -419,7 +419,7 @@ def scaled_update():
 
 def test_noise_of_the_thrust_is_no_scale(rng):
     """In hover it is all that moves the thrust, and it stands in y and, the other way round, in h: taken as it is, the
-    scale falls to its limit within a second; with its variance told it falls less than half as fast."""
+    scale falls to its limit within a second; with its variance given it falls less than half as fast."""
     update, g, lift, share = scaled_update(), np.zeros(3), 9.81, 0.02
     begin = np.concatenate([np.zeros(5), np.diag([9.0, 9.0, 9.0, 0.09, 0.0]).ravel(), np.zeros(3)])
     found: dict[float, list[float]] = {0.0: [], share**2: []}

@@ -30,7 +30,7 @@ CONTROLLERS = {
 GROUPS = {
     "observer": ("none", "disturbance", "wind"),
     "adaptive": ("none", "l1"),
-    "inner": ("none", "indi"),
+    "rate_loop": ("none", "indi"),
     "delay": ("none", "strapdown", "prediction"),
 }
 
@@ -40,7 +40,7 @@ def overrides(controller, parts):
     given += [f"{group}={option}" for group, option in parts.items() if option != "none"]
     given.append("controller.allow_unstable=true")  # a few of these loops swing at hover
     given += ["delay.time=0.01"] if parts["delay"] in ("strapdown", "prediction") else []
-    both = parts["inner"] != "none" and parts["observer"] != "none"
+    both = parts["rate_loop"] != "none" and parts["observer"] != "none"
     return given + (["observer.torque_bandwidth=0"] if both else [])
 
 
@@ -118,7 +118,7 @@ SCALES = ["observer=disturbance", "observer.scale_walk=0.005", "observer.air_wal
     ids=lambda x: " ".join(x) if isinstance(x, list) else "",
 )
 def test_a_scale_needs_the_thrusts_of_its_time(given, needed):
-    """From rotor speeds, from what is told, or because motors do not lag; checked before anything flies."""
+    """From rotor speeds, from what is given, or because motors do not lag; checked before anything flies."""
     config = compose([*SCALES, *given])
     vehicle = build_vehicle(config.vehicle)
     plant = build_world(config, vehicle)

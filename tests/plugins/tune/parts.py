@@ -36,7 +36,7 @@ class OpenLoopPart(ControllerPart):
 
 
 class OpenLoop:
-    """Thrusts of `share` times the weight of the vehicle that is believed, whatever is measured."""
+    """Thrusts of `share` times the weight of the vehicle that is assumed, whatever is measured."""
 
     residual, reference_period, backend, name, source = None, 0.0, "interpreted", "none", ""
     control_period, node_times = 0.02, np.zeros(1)

@@ -94,7 +94,7 @@ def test_settings_below_settings(tmp_path):
     "given",
     [
         ["controller=gp_mpc", "observer=wind", "observer.wind_walk=3"],
-        ["controller=dfbc", "inner=indi", "controller.position_gain=[7,7,9]"],
+        ["controller=dfbc", "rate_loop=indi", "controller.position_gain=[7,7,9]"],
         ["controller=nominal_mpc", "remedies=offset_free", "observer.force_bandwidth=2", "adaptive=l1"],
     ],
 )

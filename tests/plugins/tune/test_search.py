@@ -92,7 +92,7 @@ def test_one_controller_at_a_time(tmp_path):
 
 
 def test_a_controller_of_the_users_own_is_tuned_to_what_is_known_to_be_best(tmp_path):
-    """Real flights: with 0.2 kg more than the 1 kg that is believed, thrust without feedback must be 1.2 times larger,
+    """Real flights: with 0.2 kg more than the 1 kg that is assumed, thrust without feedback must be 1.2 times larger,
     and z is off by (share / 1.2 - 1) g t^2 / 2 otherwise."""
     found = tuned(tmp_path, "payload=fixed", "payload.mass=0.2", flights=20)
     (share,) = found.trials[found.best].numbers

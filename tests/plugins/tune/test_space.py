@@ -67,7 +67,7 @@ def test_proportions_are_within_the_range_of_the_setting():
 
 
 OPTIONS = OptionFiles().options("controller")
-REMEDY_OPTIONS = ["observer=disturbance", "observer=wind", "adaptive=l1", "inner=indi"]
+REMEDY_OPTIONS = ["observer=disturbance", "observer=wind", "adaptive=l1", "rate_loop=indi"]
 
 
 @pytest.mark.parametrize("option", [name for name in OPTIONS if not name.endswith("_tuned")])

@@ -26,7 +26,7 @@ from quadexp.plugins.vehicle.record import packed
 QUICK = ("trajectory.acceleration=2", "trajectory.radius=2")
 MPC = ("controller=perfect_mpc", "trajectory=lemniscate", "trajectory.speed=12", "trajectory.acceleration=6")
 LAW = ("controller=geometric", "adaptive=l1", "trajectory=circle", "trajectory.speed=4", *QUICK)
-OBSERVING = ("controller=nominal_mpc", "observer=disturbance", "inner=indi", "observer.torque_bandwidth=0")
+OBSERVING = ("controller=nominal_mpc", "observer=disturbance", "rate_loop=indi", "observer.torque_bandwidth=0")
 WINDY = (*OBSERVING, "wind=gust", "trajectory=circle", "trajectory.speed=4", *QUICK)
 CASES = {"mpc": MPC, "law": LAW, "observing": WINDY}
 FOUND = ("remedies=auto", "world=everything", "trajectory=circle", "trajectory.speed=4", *QUICK)

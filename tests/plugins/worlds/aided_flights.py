@@ -54,7 +54,7 @@ class AidedRun:
 
     backend: compiled is worth its time for many runs.
 
-    Afterwards, a row a period: told (k, 13), nominal (k, 16), covariance (k, 15, 15), bias (k, 6), reading (k, 3).
+    Afterwards, a row a period: given (k, 13), nominal (k, 16), covariance (k, 15, 15), bias (k, 6), reading (k, 3).
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class AidedRun:
                 row.append(f.results[f"{name}_next"].copy())
             f.arguments["inner"][:], f.arguments["known"][:] = rows["inner"][-1], rows["known"][-1]
         found = {name: np.array(row) for name, row in rows.items()}
-        self.told, self.reading, self.bias = found["state"], found["specific_force"], found["inner"][:, :N_BIAS]
+        self.inputs, self.reading, self.bias = found["state"], found["specific_force"], found["inner"][:, :N_BIAS]
         self.nominal = found["known"][:, :N_NOMINAL]
         self.covariance = full(found["known"][:, N_NOMINAL : N_NOMINAL + N_COVARIANCE])
         return self

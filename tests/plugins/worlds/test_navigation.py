@@ -55,7 +55,7 @@ def stack(flight, *kinds, prefix=""):
 @pytest.mark.parametrize("kind", AIRFRAMES)
 @pytest.mark.parametrize("path", PATHS)
 def test_every_airframe_flies_on_the_estimate(vehicle, sensors, kind, path):
-    """The errors told are those that the filter states; it is told a little later, which costs a little."""
+    """The errors given are those that the filter states; it is given a little later, which costs a little."""
     vehicle = with_rotors(vehicle)
     world = World(airframe(kind, vehicle), [SENSORS[sensors], Navigation()])
     flight = flown(world, vehicle, PATHS[path])

@@ -54,7 +54,7 @@ def assemble(
     rates = {name: float(1 / np.median(np.diff(s.t))) for name, s in streams.items()}
     start = min(streams[name].t[0] for name in core)
     _check_clock(path, {name: streams[name] for name in core})
-    given = rate is not None
+    rate_given = rate is not None
     period = _shared_period(streams)
     if period is not None and (rate is None or abs(rate * period - 1) < UNIFORM):
         t = streams[core[0]].t
@@ -89,7 +89,7 @@ def assemble(
     columns["t"] = columns["t"] - columns["t"][0]
     stretches = np.concatenate([[0], np.cumsum(np.diff(np.flatnonzero(kept)) > 1)]) * 1_000_000
     columns["segment"] = np.unique(columns["segment"] + stretches, return_inverse=True)[1].astype(np.int32)
-    log.about |= {"rate": float(rate), "rates": rates, "resampled": period is None or given, "cropped": [t0, t1]}
+    log.about |= {"rate": float(rate), "rates": rates, "resampled": period is None or rate_given, "cropped": [t0, t1]}
     return columns, derived
 
 

@@ -70,12 +70,12 @@ def _in_flight(t: np.ndarray, values: dict[str, np.ndarray], notes: list[str]) -
     for start, stop in runs(~rest):
         up = np.arange(start, stop)
         if height is not None:  # above where it stood before, and where it stands after
-            left = [height[start - 1]] if start > 0 else []
+            before = [height[start - 1]] if start > 0 else []
             landed = [height[stop]] if stop < len(t) else []
-            high = [height[start:stop] > ground + CLEARANCE for ground in (*left, *landed)]
-            first = np.argmax(high[0]) if left and high[0].any() else 0
+            high = [height[start:stop] > ground + CLEARANCE for ground in (*before, *landed)]
+            first = np.argmax(high[0]) if before and high[0].any() else 0
             last = len(up) - 1 - (np.argmax(high[-1][::-1]) if landed and high[-1].any() else 0)
-            up = up[first : last + 1] if all(one.any() for one in high) else up[:0]
+            up = up[first : last + 1] if all(above.any() for above in high) else up[:0]
         if not len(up):
             continue
         low = t[up[0]] + AUTO_MARGIN if start > 0 else -np.inf

@@ -332,19 +332,19 @@ class _Reader:
             text = f"goes with unit {ELECTRICAL}, not {unit}" if value is not None else f"is missing, with unit {unit}"
             raise self.fail(key, f"{text}: magnets of the motor over two, as `pole_pairs: 7`")
         what = "a whole number from 1 to 100"
-        given = 1 if value is None else value
-        return float(self.numbers(key, given, [1], what, lambda x: isinstance(x, int) and 1 <= x <= 100)[0])
+        pairs = 1 if value is None else value
+        return float(self.numbers(key, pairs, [1], what, lambda x: isinstance(x, int) and 1 <= x <= 100)[0])
 
     def names(self, name: str, value: dict[str, Any]) -> tuple[str, ...]:
-        given = value.get("columns", value.get("column"))
-        if isinstance(given, (str, int)) and not isinstance(given, bool):
-            given = [given]
+        stated = value.get("columns", value.get("column"))
+        if isinstance(stated, (str, int)) and not isinstance(stated, bool):
+            stated = [stated]
         width = len(QUANTITIES[name].columns)
         least, most = (3, 4) if width == 4 else (1, 32) if name in ROTORS else (width, width)
-        if not isinstance(given, list) or len(set(map(str, given))) < len(given) or not least <= len(given) <= most:
+        if not isinstance(stated, list) or len(set(map(str, stated))) < len(stated) or not least <= len(stated) <= most:
             count = f"{least} to {most}" if least < most else str(least)
             raise self.fail(f"{name}.columns", f"must be a list of the log's columns: {count} are needed, each once")
-        return tuple(map(str, given))
+        return tuple(map(str, stated))
 
     def frame(self, name: str, value: dict[str, Any], frames: dict[str, np.ndarray]) -> dict[str, Any]:
         """axes and in_body of a vector; the body frame is the default of rate and acceleration."""

@@ -103,10 +103,10 @@ def read_mapped(table: Table, mapping: Mapping) -> RawLog:
 
 def corrected(streams: dict[str, Stream], correction: Mapping) -> dict[str, Stream]:
     """Streams in SI, ENU and FLU, mended by lines of a mapping of which they are the log."""
-    factor, made = correction.clock.factor, {}
+    factor, moved = correction.clock.factor, {}
     for name, (t, values) in streams.items():
-        made[name] = _convert(name, correction.entries[name], Stream(t if factor == 1.0 else t * factor, values))
-    return _turned_to_frame(made, correction.entries)
+        moved[name] = _convert(name, correction.entries[name], Stream(t if factor == 1.0 else t * factor, values))
+    return _turned_to_frame(moved, correction.entries)
 
 
 def _convert(name: str, entry: Entry, stream: Stream) -> Stream:

@@ -241,19 +241,19 @@ def aligned(streams: Mapping[str, Stream], offsets: Mapping[tuple[str, str], Off
     of_force = [("acceleration", -1.0)] if "acceleration" in named else []
     others = [[("attitude", 1.0), *of_force]] if of_rate else []
     others += [[*of_rate, ("velocity", 1.0), ("position", 1.0)]] if of_force else []
-    made = []
+    shifts = []
     for chosen in ([*of_rate, *of_force], *others):
         moves = [
             (name, named["rate" if name in ("rate", "attitude") else "acceleration"], sign) for name, sign in chosen
         ]
-        made.append(_moved(streams, [*first, *moves]))
-    misfits = [_misfit(one) for one in made]
-    best = min(range(len(made)), key=misfits.__getitem__)
+        shifts.append(_moved(streams, [*first, *moves]))
+    misfits = [_misfit(shift) for shift in shifts]
+    best = min(range(len(shifts)), key=misfits.__getitem__)
     if misfits[best] < CLEARLY * misfits[0]:
-        return made[best]
+        return shifts[best]
     known = [named[name].seconds for name in ("rate", "acceleration") if name in named]
     if not known or max(known) > 0:
-        return made[0]
+        return shifts[0]
     motion = [("attitude", 1.0)] if of_rate else []
     motion += [("velocity", 1.0), ("position", 1.0)] if of_force else []
     moves = [(name, named["rate" if name == "attitude" else "acceleration"], sign) for name, sign in motion]
@@ -261,12 +261,12 @@ def aligned(streams: Mapping[str, Stream], offsets: Mapping[tuple[str, str], Off
 
 
 def _moved(streams: Mapping[str, Stream], moves: list[tuple[str, Offset, float]]) -> dict[str, Stream]:
-    made = dict(streams)
+    moved = dict(streams)
     for name, offset, sign in moves:
-        if name in made:
-            t, values = made[name]
-            made[name] = Stream(t + sign * offset.at(t), values)
-    return made
+        if name in moved:
+            t, values = moved[name]
+            moved[name] = Stream(t + sign * offset.at(t), values)
+    return moved
 
 
 def _misfit(streams: Mapping[str, Stream]) -> float:

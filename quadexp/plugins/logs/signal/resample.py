@@ -95,12 +95,12 @@ def _on_clock(
     values = continuous(stream.values) if sphere else stream.values
     out = np.full((len(t), values.shape[1]), np.nan)
     for piece in pieces:
-        own, data = stream.t[piece], values[piece]
-        low, high = np.searchsorted(t, [own[0] - slack, own[-1] + slack])
+        clock, data = stream.t[piece], values[piece]
+        low, high = np.searchsorted(t, [clock[0] - slack, clock[-1] + slack])
         at = t[low:high]
         if not len(at):
             continue
-        out[low:high] = _stretch(own, data, at, rate, slack, sphere, held)
+        out[low:high] = _stretch(clock, data, at, rate, slack, sphere, held)
     return out
 
 

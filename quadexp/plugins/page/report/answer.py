@@ -95,8 +95,8 @@ def _verdicts(comparison: Comparison) -> list[str]:
 def _against(comparison: Comparison) -> str:
     """The gain of whom the answer compares with the baseline, in each plant and vehicle, the largest first where there
     are many; and the flights that are not in it."""
-    found = {world: of[comparison.rival] for world, of in comparison.by_world.items() if comparison.rival in of}
-    texts = {world: s for world, s in found.items() if s.pairs}
+    ratios = {world: of[comparison.rival] for world, of in comparison.by_world.items() if comparison.rival in of}
+    texts = {world: s for world, s in ratios.items() if s.pairs}
     if not texts:
         return ""
     credit = "Knowing the aerodynamics: " if comparison.of_the_air else ""

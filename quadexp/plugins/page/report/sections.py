@@ -38,7 +38,8 @@ ENDS = ("failed", "solver_failed", "lost", "left_corridor", "infeasible", "ok") 
 METHODS = (
     "Means are over the flights that all compared controllers completed; intervals ({}) are Student's t over the seeds,"
     " for other seeds, and decide nothing. Differences are taken seed by seed (the same noise for both), on the flights"
-    " that both completed, over several conditions as the mean of a seed. One test decides who is told apart, in every"
+    " that both completed, over several conditions as the mean of a seed. One test decides who is significantly"
+    " different, in every"
     " line and sentence: {} Ratios over several conditions are geometric means, every condition with the same weight;"
     " their interval is for new seeds, not for new trajectories. Lost flights are counted."
 )
@@ -79,14 +80,14 @@ def scoreboard(comparison: Comparison) -> Table:
     lines: list[Any] = []
     for label in comparison.order:
         pooled, flights = comparison.overall.get(label), comparison.success(label)
-        mean, own = (factor * comparison.geometric_mean(label, own=own) for own in (False, True))
+        mean, own_mean = (factor * comparison.geometric_mean(label, over_own=own_mean) for own_mean in (False, True))
         beyond = flights.ended > (verdict.common if mean == mean else 0)
         role = "best" if verdict.best and label == verdict.least else ""
         role = role or ("baseline" if label == base else "bound" if label in comparison.bounds else "")
         ended = flights.text()
         cells = [Cell(label, (role,), best=role == "best", mark=label)]
         cells += [Cell(ended) if flights.ended == flights.trials else Cell(lost=ended)]
-        cells += [Cell(f"{number(mean)} {unit}", (f"own {number(own)} of {flights.ended}" if beyond else "",))]
+        cells += [Cell(f"{number(mean)} {unit}", (f"own {number(own_mean)} of {flights.ended}" if beyond else "",))]
         if base:
             change, limits = _change(pooled)
             p = probability(pooled.p_holm) if pooled and pooled.testable else ""
@@ -198,10 +199,12 @@ def origin(comparison: Comparison, flights: Sequence[Record], command: str, left
     about = facts(comparison, flights) + ([("Left out", "; ".join(left_out))] if left_out else [])
     grids = [tuple(tuple(map(comparison.anywhere, texts)) for texts in grid) for grid in comparison.grids]
     models = {row["model"] for row in comparison.rows if row["model"]}
-    found = [comparison.anywhere(f"model={quoted(model)}") for model in models if len(models) == 1 and "+" not in model]
+    sentences = [
+        comparison.anywhere(f"model={quoted(model)}") for model in models if len(models) == 1 and "+" not in model
+    ]
     # With other paths they are other cells, which the folder of these does not take.
-    place = comparison.place(comparison.root) + ("_again" if found or grids != comparison.grids else "")
-    sweep = sweep_command(grids, place, [*comparison.conf, *found])
+    place = comparison.place(comparison.root) + ("_again" if sentences or grids != comparison.grids else "")
+    sweep = sweep_command(grids, place, [*comparison.conf, *sentences])
     blocks = [Block(facts=about, code=[*filter(None, (sweep, command))])]
     if rows := settings(flights):
         tables = {"settings": Table(["setting", "value"], rows)}

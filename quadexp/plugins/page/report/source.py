@@ -52,7 +52,7 @@ AIR = {  # baseline -> controllers that are the same but for what they know of t
     "static_feedback": {"rls_feedback", "oracle_feedback"},
 }
 PATHS = ("model", "plant.model", "trajectory.path", "wind.path")  # keys of a flight that name a file or folder
-BASELINES = ("nominal_mpc", "static_feedback")  # in this order, unless told
+BASELINES = ("nominal_mpc", "static_feedback")  # in this order, unless given
 
 
 @dataclass(frozen=True)
@@ -151,27 +151,29 @@ class Comparison:
         """Who has the least error in the main world."""
         return self.verdicts[self.world]
 
-    def geometric_mean(self, label: str, *, own: bool = False) -> float:
+    def geometric_mean(self, label: str, *, over_own: bool = False) -> float:
         """Over the conditions, of the mean errors over the common flights, SI; NaN for a label that is not compared.
 
-        own: over all its own completed flights.
+        over_own: over all its own completed flights.
         """
-        return self._means[label, own]
+        return self._means[label, over_own]
 
     @cached_property
     def _means(self) -> dict[tuple[str, bool], float]:
-        means: dict[tuple[str, bool], list[float]] = {(x, own): [] for x in self.contestants for own in (False, True)}
+        means: dict[tuple[str, bool], list[float]] = {
+            (x, over_own): [] for x in self.contestants for over_own in (False, True)
+        }
         among = self.groups.common(self.groups.worlds[self.world])
         for (condition, contestant), flights in self.groups.cells.items():
             if condition.world != self.world:
                 continue
             completed = {f.seed for f in flights if f.complete}
             common = among.seeds.get(condition, frozenset()) if contestant in among.compared else frozenset()
-            for own, seeds in ((False, completed & common), (True, completed)):
+            for over_own, seeds in ((False, completed & common), (True, completed)):
                 values = self.groups.values(condition, contestant, 0, seeds)
                 values = values[np.isfinite(values)]
                 if len(values) and np.mean(values) > 0:
-                    means[self.labels[contestant], own].append(float(np.mean(values)))
+                    means[self.labels[contestant], over_own].append(float(np.mean(values)))
         return {
             at: float(np.exp(np.mean(np.log(values_of)))) if values_of else math.nan for at, values_of in means.items()
         }

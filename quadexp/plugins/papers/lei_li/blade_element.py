@@ -20,7 +20,7 @@ The fit of all samples is Gauss-Newton least squares,
     y = F(v, w, V_I(v, w, C_la), theta) / m + b + e         body FLU, m/s^2
 
 theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz) is common to all axes, b is the accelerometer's bias on each axis: neglecting a
-bias of .001 m/s^2 changes C_la by more than the interval due to noise alone. The derivative is total, through the
+bias of 0.001 m/s^2 changes C_la by more than the interval due to noise alone. The derivative is total, through the
 induced velocity V_I,
 
     X = [ (dF/dtheta + dF/dV_I dV_I/dC_la) / m,  I ]

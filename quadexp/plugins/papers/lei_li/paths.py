@@ -67,7 +67,7 @@ class LeiLiPath(TrajectoryPart):
 class Rectangle(LeiLiPath):
     """A square flown once, started and ended at its south-west corner, clockwise seen from above.
 
-    Printed start: on the ground, at rest, slightly turned; in NED xi_0 = (.2, -.2, -.1) m, eta_0 = (1, -1, 5) deg.
+    Printed start: on the ground, at rest, slightly turned; in NED xi_0 = (0.2, -.2, -.1) m, eta_0 = (1, -1, 5) deg.
     """
 
     former_kind = "rectangle"

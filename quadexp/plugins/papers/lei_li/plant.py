@@ -30,8 +30,8 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import ModelDomainError, UsageError
+from quadexp.models.build_context import BuildContext
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
-from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, Settings, key, keyed, part
 from quadexp.physics.blade_element import (
     ADOPTED,
@@ -125,11 +125,11 @@ class BladeElement(BladeElementEffects, BladeKeys, PlantPart):
                 fault = f"unknown {unknown[0]!r}" if unknown else "no t"
                 raise UsageError(f"plant.schedule: {fault}; each change is {{t: s, {', '.join(_CHANGES[1:])}}}")
 
-    def build(self, given: Given) -> BladeElementPlant:
+    def build(self, context: BuildContext) -> BladeElementPlant:
         """UsageError where the vehicle has no rotors of known shape."""
-        if given.vehicle.rotor is None:
+        if context.vehicle.rotor is None:
             raise UsageError(
-                f"plant={self.name}: vehicle={given.vehicle.name} has no vehicle.rotor (its rotors' shape);"
+                f"plant={self.name}: vehicle={context.vehicle.name} has no vehicle.rotor (its rotors' shape);"
                 " vehicle=lei_li has"
             )
         changes = []
@@ -137,7 +137,7 @@ class BladeElement(BladeElementEffects, BladeKeys, PlantPart):
             values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in change.items()}
             changes.append(PlantChange(**values))
         return BladeElementPlant(
-            given.vehicle,
+            context.vehicle,
             part(BladeCoefficients, self),
             part(BladeElementEffects, self),
             step=self.step,
@@ -252,12 +252,12 @@ class BladeElementPlant(RotorSpeedPlant):
     def safe_equations(self) -> Equations:
         return checked_equations(self._model)
 
-    def check_safe(self, found: dict[str, np.ndarray], step: float) -> None:
-        status = found["status"]
+    def check_safe(self, flown: dict[str, np.ndarray], step: float) -> None:
+        status = flown["status"]
         bad = np.argwhere(status.T != Defined.OK)
         if len(bad):
             k, rotor = bad[0]
-            flow = found["flow"][:, k * self.vehicle.n_rotors + rotor]
+            flow = flown["flow"][:, k * self.vehicle.n_rotors + rotor]
             raise ModelDomainError(
                 f"blade-element model, rotor {rotor} at t={self.time + k * step:.4f} s: "
                 f"{REASONS[Defined(int(status[rotor, k]))]} (V_h={flow[0]:.3g} m/s,"

@@ -102,13 +102,13 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
     speed = abs(v[0]) + abs(v[1])
     weight = ca.if_else(speed > 0, abs(v[0]) / (speed + (speed <= 0)), 0.5)
     raw = _combine(new_thetas, weight, lift_weight)
-    given = [v, w, y, used, *thetas, *covariances, *priors, sigma, forgetting, lift_weight]
+    arguments = [v, w, y, used, *thetas, *covariances, *priors, sigma, forgetting, lift_weight]
     results = [*new_thetas, *new_covariances, raw, ca.vertcat(*errors)]
     results += [safe_newton(equation, ITERATIONS), ca.densify(regressors), weight]
     states = [f"{name}_{axis}" for name in ("theta", "P", "prior") for axis in "xyz"]
     names_in = ["v", "w", "y", "used", *states, "sigma", "forgetting", "lift_weight"]
     names_out = [*(f"new_{name}" for name in states[:6]), "raw", "error", "induced", "regressors", "weight"]
-    return ca.Function("rls_step", given, ca.cse(results), names_in, names_out)
+    return ca.Function("rls_step", arguments, ca.cse(results), names_in, names_out)
 
 
 def _combine(thetas: Sequence[Expression], weight: Expression, lift_weight: Expression) -> Expression:
@@ -319,29 +319,32 @@ def update_function(
     shapes |= {NOW + name: value.size for name, value in start.items()}
     a = named_symbols(ca.MX, shapes)
     kept = {name: a[NOW + name] for name in start}
-    given: dict[str, Any] = {name: a[name] for name in ("v", "w", "y")} | {"used": kept["used"]}
+    arguments: dict[str, Any] = {name: a[name] for name in ("v", "w", "y")} | {"used": kept["used"]}
     for axis, at in zip("xyz", AXES, strict=True):
-        given[f"theta_{axis}"], given[f"P_{axis}"] = kept[f"theta_{axis}"], ca.reshape(kept[f"P_{axis}"], len(at), -1)
-        given[f"prior_{axis}"] = spread(initial, settings, at)
-    given |= {"sigma": settings.noise, "forgetting": settings.forgetting, "lift_weight": settings.lift_weight}
-    found = rls_step_function(vehicle, gauss_newton=settings.gauss_newton).call(given)
-    left = {name: found[f"new_{name}"] for name in kept if f"new_{name}" in found}
-    used = limited(found["raw"], *map(ca.DM, bounds(initial, settings))) if settings.clip else found["raw"]
-    left |= {"raw": found["raw"], "used": used, "clips": kept["clips"] + (used != found["raw"])}
-    left |= {"samples": kept["samples"] + 1, "weight": found["weight"]}
+        arguments[f"theta_{axis}"], arguments[f"P_{axis}"] = (
+            kept[f"theta_{axis}"],
+            ca.reshape(kept[f"P_{axis}"], len(at), -1),
+        )
+        arguments[f"prior_{axis}"] = spread(initial, settings, at)
+    arguments |= {"sigma": settings.noise, "forgetting": settings.forgetting, "lift_weight": settings.lift_weight}
+    step = rls_step_function(vehicle, gauss_newton=settings.gauss_newton).call(arguments)
+    next_values = {name: step[f"new_{name}"] for name in kept if f"new_{name}" in step}
+    used = limited(step["raw"], *map(ca.DM, bounds(initial, settings))) if settings.clip else step["raw"]
+    next_values |= {"raw": step["raw"], "used": used, "clips": kept["clips"] + (used != step["raw"])}
+    next_values |= {"samples": kept["samples"] + 1, "weight": step["weight"]}
     if change_threshold is not None:
-        square = ca.sumsqr(found["error"] / settings.noise) / 3
+        square = ca.sumsqr(step["error"] / settings.noise) / 3
         innovation = kept["innovation"] + (square - kept["innovation"]) / INNOVATION_SAMPLES
         wait = kept["wait"] - 1
         changed = ca.logic_and(wait <= 0, innovation > change_threshold)
-        left |= {"innovation": innovation, "wait": ca.if_else(changed, NEXT_WAIT, wait)}
-        left["reopened"] = kept["reopened"] + changed
+        next_values |= {"innovation": innovation, "wait": ca.if_else(changed, NEXT_WAIT, wait)}
+        next_values["reopened"] = kept["reopened"] + changed
         for axis in "xyz":
-            left[f"P_{axis}"] = ca.if_else(changed, start[f"P_{axis}"], ca.vec(left[f"P_{axis}"]))
+            next_values[f"P_{axis}"] = ca.if_else(changed, start[f"P_{axis}"], ca.vec(next_values[f"P_{axis}"]))
     turns = ca.mmin(a["w"]) >= SLOWEST
     counts = ca.logic_and(a["read"], turns)
     results = {NEXT + name: value for name, value in kept.items()}
-    results |= {NEXT + name: ca.if_else(counts, ca.vec(value), kept[name]) for name, value in left.items()}
+    results |= {NEXT + name: ca.if_else(counts, ca.vec(value), kept[name]) for name, value in next_values.items()}
     results[f"{NEXT}skipped"] = kept["skipped"] + ca.logic_and(a["read"], ca.logic_not(turns))
-    results |= {name: found[name] for name in ("error", "regressors", "induced")}
+    results |= {name: step[name] for name in ("error", "regressors", "induced")}
     return named_function("rls_update", a, results)

@@ -10,18 +10,18 @@ import numpy as np
 from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Window
-from quadexp.control.built import built
+from quadexp.control.cached_function import cached_function
+from quadexp.control.control_step import ControlStep, InputArrays, call, copy
 from quadexp.control.inputs import Circumstances, Inputs, places_of
-from quadexp.control.instant import Instant, Told, call, copy
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.part import PredictivePart
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.control.part import RESIDUAL
 from quadexp.control.wrapped import thrust_at_start
+from quadexp.models.build_context import BuildContext
 from quadexp.models.residual import Residual
 from quadexp.names import named
-from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, key, keyed, part
 from quadexp.physics.expression import named_function
 from quadexp.physics.rotation import air_velocity
@@ -47,7 +47,7 @@ class IdentifyingController(PredictiveController):
         super().__init__(mpc)
         self.rls, self.reference_period = rls, reference_period
         self._believed = mpc.residual
-        self._identify = built(mpc.backend, in_flight, rls, mpc.vehicle)
+        self._identify = cached_function(mpc.backend, in_flight, rls, mpc.vehicle)
         self.memory = Memory("Identification", sizes_of([self._identify]) | {"sent": mpc.vehicle.n_rotors})
         self._model = Memory("Model", worked={"theta": mpc.parameters})  # which a prediction around it reads too
         self.forget()
@@ -80,15 +80,15 @@ class IdentifyingController(PredictiveController):
     def prepare(self, window: Window) -> None:
         """Does nothing: the coefficients of the next step depend on its measurement."""
 
-    def instant(self, told: Told, state: np.ndarray) -> Instant:
-        """See control.instant."""
-        inner, kept = super().instant(told, state), self.memory.of_next
+    def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
+        """See control.control_step."""
+        step, kept = super().control_step(inputs, state), self.memory.of_next
         clips = np.zeros(1)
-        identify = call(connected(self._identify, places_of(told, state), {"clips": clips}, self.memory))
-        operations = [identify, copy(self.mpc.parameters.reshape(-1), kept["used"])]
-        operations += [*inner.operations, copy(kept["sent"], inner.command)]
-        logged = (*inner.logged, kept["used"], clips, kept["reopened"])
-        return inner._replace(operations=operations, logged=logged, memory=(*inner.memory, self.memory, self._model))
+        identify = call(connected(self._identify, places_of(inputs, state), {"clips": clips}, self.memory))
+        calls = [identify, copy(self.mpc.parameters.reshape(-1), kept["used"])]
+        calls += [*step.calls, copy(kept["sent"], step.command)]
+        logged = (*step.logged, kept["used"], clips, kept["reopened"])
+        return step._replace(calls=calls, logged=logged, memory=(*step.memory, self.memory, self._model))
 
     def log(self) -> dict[str, float]:
         """See Controller.log: the coefficients in use."""
@@ -109,25 +109,29 @@ class RLSMPC(PredictivePart):
     )
     rls: Identification = key(REQUIRED, "recursive least squares in flight", tuned=".noise=0.01..1:log")
 
-    def build(self, given: Given) -> Any:
+    def build(self, context: BuildContext) -> Any:
         """See ControllerPart."""
         from quadexp.plugins.papers.lei_li.blade_element import blade_element_residual
 
         first = part(BladeCoefficients, self.rls)
-        residual = blade_element_residual(given.vehicle, first, "RLS in flight")
-        mpc = ModelPredictiveController(given.vehicle, residual, part(MPCSettings, self), backend=self.backend)
+        residual = blade_element_residual(context.vehicle, first, "RLS in flight")
+        mpc = ModelPredictiveController(context.vehicle, residual, part(MPCSettings, self), backend=self.backend)
         return IdentifyingController(mpc, self.rls, self.reference_period)
 
 
 def in_flight(rls: Identification, vehicle: Vehicle) -> ca.Function:
-    """Identification as an operation: rotor speeds that are not measured are replaced by the commanded ones."""
-    given = Inputs(vehicle, Circumstances(0.0), ca.MX)
-    kept = {name: given.symbol(NOW + name, (values.size, 1)) for name, values in rls.remembered.items()}
-    read, turning = ca.vertsplit(given.fresh)
-    sent = given.symbol(f"{NOW}sent", (vehicle.n_rotors, 1))
+    """Identification as an call: rotor speeds that are not measured are replaced by the commanded ones."""
+    inputs = Inputs(vehicle, Circumstances(0.0), ca.MX)
+    kept = {name: inputs.symbol(NOW + name, (values.size, 1)) for name, values in rls.remembered.items()}
+    read, turning = ca.vertsplit(inputs.fresh)
+    sent = inputs.symbol(f"{NOW}sent", (vehicle.n_rotors, 1))
     commanded = ca.sqrt(ca.fmax(sent, 0) / vehicle.static_thrust_coefficient)
-    told = {"v": air_velocity(given.state[ATTITUDE], given.state[VELOCITY]), "y": given.specific_force, "read": read}
-    told["w"] = ca.if_else(turning, given.rotor_speed, commanded)
-    found = rls.update(vehicle).call(told | {NOW + name: value for name, value in kept.items()})
-    left = {NEXT + name: found[NEXT + name] for name in kept} | {"clips": ca.sum1(found[f"{NEXT}clips"])}
-    return named_function("identify", given.read, left)
+    sample = {
+        "v": air_velocity(inputs.state[ATTITUDE], inputs.state[VELOCITY]),
+        "y": inputs.specific_force,
+        "read": read,
+    }
+    sample["w"] = ca.if_else(turning, inputs.rotor_speed, commanded)
+    updated = rls.update(vehicle).call(sample | {NOW + name: value for name, value in kept.items()})
+    results = {NEXT + name: updated[NEXT + name] for name in kept} | {"clips": ca.sum1(updated[f"{NEXT}clips"])}
+    return named_function("identify", inputs.read, results)

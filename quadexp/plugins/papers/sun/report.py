@@ -6,9 +6,9 @@ box but are more than 2 m off: they are not flown.
 
 Errors "as logged" are our reading of the published metric, an RMSE of position, which does not say of which position.
 With poses 10 ms old the printed error is that without delay, which the true position cannot give to a controller
-without prediction: at 12 m/s it is .12 m further. So the position is taken to be the one that the controller was told,
-of age d, recorded after a call of the software at 300 Hz: that is two steps of a simulation at 500 Hz, T, after the
-instant of the reference and the command that are recorded with it:
+without prediction: at 12 m/s it is 0.12 m further. So the position is taken to be the one that the controller was
+given, of age d, recorded after a call of the software at 300 Hz: that is two steps of a simulation at 500 Hz, T, after
+the instant of the reference and the command that are recorded with it:
 
     e(t) = p(t + T - d) - p_r(t),     T = 2/500 s
 """
@@ -61,9 +61,9 @@ TITLES = {
     "sun_force_5": "5 N",
     "sun_force_10": "10 N",
     "sun_force_15": "15 N",
-    "sun_torque_01": ".1 N m",
-    "sun_torque_02": ".2 N m",
-    "sun_torque_03": ".3 N m",
+    "sun_torque_01": "0.1 N m",
+    "sun_torque_02": "0.2 N m",
+    "sun_torque_03": "0.3 N m",
     "sun_late_10": "10 ms",
     "sun_late_30": "30 ms",
     "sun_late_50": "50 ms",
@@ -131,9 +131,9 @@ def _possible(row: Row) -> bool:
 
 
 def _ellipse(row: Row) -> Ellipse:
-    given = dict(part.split("=", 1) for part in row.get("variant", "").split() if "=" in part)
-    number = {name: float(given.get(f"trajectory.{name}", default)) for name, default in DEFAULTS.items()}
-    plane = given.get("trajectory.plane", "horizontal")
+    stated = dict(part.split("=", 1) for part in row.get("variant", "").split() if "=" in part)
+    number = {name: float(stated.get(f"trajectory.{name}", default)) for name, default in DEFAULTS.items()}
+    plane = stated.get("trajectory.plane", "horizontal")
     numbers = (float(row["speed"]), number["acceleration"], number["ratio"])
     return Ellipse(plane, *numbers, feasible=Ellipse(plane, *numbers, feasible=False) not in ellipses())
 
@@ -177,10 +177,10 @@ def logged_rmse(flight: Flight) -> float:
     if not len(flight):
         return math.nan
     config = flight.metadata["config"]
-    given = {name: value for name, value in config["trajectory"].items() if name in declared(ReferenceEllipse)}
+    stated = {name: value for name, value in config["trajectory"].items() if name in declared(ReferenceEllipse)}
     late = config.get("estimator", {}).get("delay", 0.0)
     t = np.maximum(flight.t + late - RECORDED_AFTER, 0.0)  # of the reference with which this position is recorded
-    error = flight.state[:, POSITION] - ReferenceEllipse(**given).flat_output(t).position[:, 0]
+    error = flight.state[:, POSITION] - ReferenceEllipse(**stated).flat_output(t).position[:, 0]
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
@@ -215,14 +215,16 @@ def compared(flights: Iterable[Row]) -> Table:
         lost = row["outcome"] not in COMPLETED
         errors.setdefault(key, {})[_ellipse(row)] = CRASHED[0] if lost else float(row["rmse"])
     pairs = {}
-    for (name, world), found in errors.items():
+    for (name, world), mean_error in errors.items():
         who, plus, remedies = name.partition("+")
         ours = errors.get((OURS + plus + remedies, world), {})
-        if who != OURS and (both := [ellipse for ellipse in found if ellipse in ours]):
-            pairs[name, world] = paired_permutation(np.array([found[one] - ours[one] for one in both]))
+        if who != OURS and (both := [ellipse for ellipse in mean_error if ellipse in ours]):
+            pairs[name, world] = paired_permutation(np.array([mean_error[pair] - ours[pair] for pair in both]))
     differs = named(pairs, holm(np.array([*pairs.values()])) < ALPHA)
-    own = {OURS + "".join(name.partition("+")[1:]) for name, _ in pairs}
-    names = [name for name in dict.fromkeys(name for name, _ in errors) if name in own | {who for who, _ in pairs}]
+    our_names = {OURS + "".join(name.partition("+")[1:]) for name, _ in pairs}
+    names = [
+        name for name in dict.fromkeys(name for name, _ in errors) if name in our_names | {who for who, _ in pairs}
+    ]
 
     def text(name: str, world: str) -> str:
         values = np.array([*errors.get((name, world), {}).values()])

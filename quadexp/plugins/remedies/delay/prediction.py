@@ -3,12 +3,12 @@
     x^(t) = phi(tau; x(t - tau), thrusts over [t - tau, t])
 
 phi: Runge-Kutta steps of at most STEP, the last parts of the time; the thrust of each is its mean over that part, after
-the dead time and lag of the commands (delivered.py). Where an observer is inside, phi is in the world that it believed
+the dead time and lag of the commands (delivered.py). Where an observer is inside, phi is in the world that it assumed
 in at the last instant: v' = F_air(v - w, s T) + F / m .., see control.belief. The prediction starts from the newest
 measurement at every instant (not Smith's form, whose model drifts). It needs no gyroscope and no accelerometer, but a
 model: an error a of its acceleration leaves a tau^2 / 2 in the position.
 
-An MPC predicts the dead time of its commands itself. Any other controller is told the state, and the reference, of the
+An MPC predicts the dead time of its commands itself. Any other controller is given the state, and the reference, of the
 time at which its command begins to act: phi goes on over the dead time, under the commands that have been sent.
 """
 
@@ -21,9 +21,9 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import N_BELIEF, Controller, Window
+from quadexp.control.control_step import Call, InputArrays, python
 from quadexp.control.delivered import INSTANT, SETTLED, weights_function
 from quadexp.control.inputs import Circumstances, Inputs
-from quadexp.control.instant import Operation, Told, python
 from quadexp.control.layer import NO_BELIEF, Layer
 from quadexp.control.wrapped import innermost, layers
 from quadexp.models.residual import Residual, no_residual
@@ -39,7 +39,7 @@ STEP = 0.02  # s, of the integration
 
 
 def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) -> ca.Function:
-    """The model's state after the thrusts of the last commands, in a believed world.
+    """The model's state after the thrusts of the last commands, in a assumed world.
 
     Inputs: x (13,); commands (n, m) (N), the oldest first; weights (m, parts) on them of the thrusts in each part of
     the time, the first to act first; dt (parts,), for how long each acts (s); theta of the residual; wind (3,), world
@@ -77,21 +77,21 @@ class Prediction(KnownDelay):
         None, "time constant of the rotors; null: what the controller knows itself", "[0, 0.5]", "s"
     )
 
-    def remembers(self, given: Inputs) -> dict[str, int]:
-        """See LayerPart: the last commands, the oldest first, and the newest; what an observer inside told last, (11,);
-        instants since the start."""
-        n = given.vehicle.n_rotors
-        if not self._parts(given.about):
+    def remembers(self, inputs: Inputs) -> dict[str, int]:
+        """See LayerPart: the last commands, the oldest first, and the newest; what an observer inside given last,
+        (11,); instants since the start."""
+        n = inputs.vehicle.n_rotors
+        if not self._parts(inputs.about):
             return {}
-        return {"commands": n * self._count(given.about), "sent": n, "believed": N_BELIEF, "since": 1}
+        return {"commands": n * self._count(inputs.about), "sent": n, "believed": N_BELIEF, "since": 1}
 
-    def start(self, given: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
+    def start(self, inputs: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
         """See LayerPart."""
-        return {"commands": np.tile(thrust, self._count(given.about)), "believed": NO_BELIEF}
+        return {"commands": np.tile(thrust, self._count(inputs.about)), "believed": NO_BELIEF}
 
-    def before(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+    def before(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """The prediction. Until `time` has passed since the start, the measured state is that of the start."""
-        about, residual = given.about, given.residual or no_residual(vehicle)
+        about, residual = inputs.about, inputs.residual or no_residual(vehicle)
         if not (parts := self._parts(about)):
             return {}
         elapsed = memory.since * about.period
@@ -104,14 +104,14 @@ class Prediction(KnownDelay):
         push = ca.vertcat(force / vehicle.mass, ca.inv(ca.DM(vehicle.inertia_matrix)) @ torque)
         predict = prediction(vehicle, residual, parts, self._count(about))
         history = ca.reshape(commands, vehicle.n_rotors, -1)
-        now = predict(given.state, history, weights, dt, given.theta, wind, push, scale)
-        now = ca.if_else(late + about.ahead > 0, now, given.state)
+        now = predict(inputs.state, history, weights, dt, inputs.theta, wind, push, scale)
+        now = ca.if_else(late + about.ahead > 0, now, inputs.state)
         return {"commands": commands, "since": memory.since + 1, "state": now}
 
     def _times(self, about: Circumstances, parts: int, late: Any) -> Any:
         """How long each part of the time acts (parts,), and the weights of commands in it (m parts,)."""
         before = ca.DM(np.arange(parts - 1, -1, -1) * STEP)  # from the end of the prediction
-        ends, starts = (ca.fmin(one, late + about.ahead) - about.ahead for one in (before, before + STEP))
+        ends, starts = (ca.fmin(limit, late + about.ahead) - about.ahead for limit in (before, before + STEP))
         begins = ca.if_else(starts - ends > INSTANT, -starts, -ends - INSTANT)
         spans = ca.horzcat(begins, -ends).T
         weights = weights_function(self._count(about), about.period, parts)(spans, [about.dead_time, about.lag])
@@ -129,39 +129,41 @@ class Prediction(KnownDelay):
     def around(self, controller: Any) -> Predicting:
         """See Remedy: the controller behind a prediction of its measurements by its own model."""
         settings = getattr(innermost(controller), "settings", None)
-        told = [getattr(settings, name, 0.0) for name in ("dead_time", "known_lag")]
-        given = (self.dead_time, self.motor_lag)
-        dead_time, lag = (own if one is None else one for one, own in zip(given, told, strict=True))
+        configured = [getattr(settings, name, 0.0) for name in ("dead_time", "known_lag")]
+        stated = (self.dead_time, self.motor_lag)
+        dead_time, lag = (usual if value is None else value for value, usual in zip(stated, configured, strict=True))
         return Predicting(controller, self, dead_time, lag)
 
 
 class Predicting(Layer):
-    """A controller that is told the state of now, predicted by a model. dead_time, lag: of commands (s)."""
+    """A controller that is given the state of now, predicted by a model. dead_time, lag: of commands (s)."""
 
-    def __init__(self, inner: Controller, part: Prediction, dead_time: float, lag: float) -> None:
-        model = getattr(innermost(inner), "mpc", None)
+    def __init__(self, wrapped: Controller, part: Prediction, dead_time: float, lag: float) -> None:
+        model = getattr(innermost(wrapped), "mpc", None)
         ahead = dead_time if model is None else 0.0  # an MPC predicts the dead time itself
-        residual = no_residual(inner.vehicle) if model is None else model.residual
+        residual = no_residual(wrapped.vehicle) if model is None else model.residual
         theta = residual.theta if model is None else model.parameters
-        observer: Any = next((one for one in layers(inner) if hasattr(one, "numbers")), None)
-        about = Circumstances(inner.control_period, dead_time, lag, ahead=ahead)
+        observer: Any = next((layer for layer in layers(wrapped) if hasattr(layer, "numbers")), None)
+        about = Circumstances(wrapped.control_period, dead_time, lag, ahead=ahead)
         believed = NO_BELIEF if observer is None else observer.numbers
-        super().__init__(inner, part, about, residual, {"theta": theta}, kept={"believed": believed})
-        self.node_times = inner.node_times + ahead
+        super().__init__(wrapped, part, about, residual, {"theta": theta}, kept={"believed": believed})
+        self.node_times = wrapped.node_times + ahead
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         super().reset(x, self._later(window))
 
-    def inside(self, told: Told) -> list[Operation]:
+    def inside(self, inputs: InputArrays) -> list[Call]:
         """See Layer: the reference of the time at which a command of now begins to act."""
-        return [python(lambda: told.look(self._later(told.window)))] if self.about.ahead else []
+        return [python(lambda: inputs.set_reference(self._later(inputs.window)))] if self.about.ahead else []
 
     def _later(self, window: Window) -> Window:
         """The reference then; states and inputs are asked for then."""
         powers = [self.about.ahead**i / math.factorial(i) for i in range(len(window.position))]
         position, yaw = (
-            np.stack([sum(p * row for p, row in zip(powers, one[i:], strict=False)) for i in range(len(one))])
-            for one in (window.position, window.yaw)
+            np.stack(
+                [sum(p * row for p, row in zip(powers, derivatives[i:], strict=False)) for i in range(len(derivatives))]
+            )
+            for derivatives in (window.position, window.yaw)
         )
         return window._replace(position=position, yaw=yaw)

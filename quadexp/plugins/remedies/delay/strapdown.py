@@ -31,7 +31,7 @@ from quadexp.physics.vehicle import Vehicle
 
 @keyed
 class KnownDelay(LayerPart):
-    """How old the state is that the controller is told."""
+    """How old the state is that the controller is given."""
 
     prefix = "delay."
 
@@ -40,42 +40,42 @@ class KnownDelay(LayerPart):
 
 @keyed
 class Strapdown(KnownDelay):
-    """A late state is brought to now by gyroscope and accelerometer: the controller is told position, velocity and
+    """A late state is brought to now by gyroscope and accelerometer: the controller is given position, velocity and
     attitude of now."""
 
-    def remembers(self, given: Inputs) -> dict[str, int]:
+    def remembers(self, inputs: Inputs) -> dict[str, int]:
         """See LayerPart: readings, the oldest first; whether a force was read; whether the flight goes on, and for how
         many instants."""
-        kept = 3 * (self._periods(given) + 1)
-        if not self._periods(given):
+        kept = 3 * (self._periods(inputs) + 1)
+        if not self._periods(inputs):
             return {}
         return {"rates": kept, "forces": kept, "read": 1, "flown": 1, "since": 1}
 
-    def before(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+    def before(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """The propagation. Until `time` has passed since the start, the measured state is that of the start; the first
         force that is read counts for those before it, and where none is read the last one goes on."""
-        periods, read = self._periods(given), given.fresh[0]
+        periods, read = self._periods(inputs), inputs.fresh[0]
         if not periods:
             return {}
         weight = ca.DM([0, 0, vehicle.gravity])
-        rate, force = given.state[RATE], ca.if_else(read, given.specific_force, memory.forces[-3:])
+        rate, force = inputs.state[RATE], ca.if_else(read, inputs.specific_force, memory.forces[-3:])
         flown = ca.fmax(memory.flown, read)
         begins = ca.logic_and(read, ca.logic_not(memory.read))
         rates = ca.if_else(flown, _shifted(memory.rates, rate), _filled(rate, periods))
         forces = ca.if_else(begins, _filled(force, periods), _shifted(memory.forces, force))
         forces = ca.if_else(flown, forces, _filled(weight, periods))
-        found = {"rates": rates, "forces": forces, "flown": 1, "since": memory.since + flown}
-        late = self._late(given, found["since"])
-        propagate = propagation(periods, vehicle.gravity, given.period)
-        now = propagate(given.state, ca.reshape(rates, 3, -1), ca.reshape(forces, 3, -1), late)
-        return found | {"read": ca.fmax(memory.read, read), "state": ca.if_else(flown, now, given.state)}
+        results = {"rates": rates, "forces": forces, "flown": 1, "since": memory.since + flown}
+        late = self._late(inputs, results["since"])
+        propagate = propagation(periods, vehicle.gravity, inputs.period)
+        now = propagate(inputs.state, ca.reshape(rates, 3, -1), ca.reshape(forces, 3, -1), late)
+        return results | {"read": ca.fmax(memory.read, read), "state": ca.if_else(flown, now, inputs.state)}
 
-    def _late(self, given: Inputs, since: Any) -> Any:
+    def _late(self, inputs: Inputs, since: Any) -> Any:
         """How old the state is after so many instants (s)."""
-        return ca.fmin(self.time, since * given.period)
+        return ca.fmin(self.time, since * inputs.period)
 
-    def _periods(self, given: Inputs) -> int:
-        return math.ceil(self.time / given.period - 1e-9)
+    def _periods(self, inputs: Inputs) -> int:
+        return math.ceil(self.time / inputs.period - 1e-9)
 
     def around(self, controller: Any) -> Layer:
         """See Remedy: the controller behind a strapdown propagation of its measurements."""
@@ -107,7 +107,7 @@ def propagation(periods: int, gravity: float, period: float) -> ca.Function:
         )
         R = rotation_matrix(q)
         turned = [f[0], *(rotation_matrix(exponential(_turn(w[0], w[i], h * i / 2))) @ f[i] for i in (1, 2))]
-        a = [R @ one + along_z(-gravity) for one in turned]
+        a = [R @ force + along_z(-gravity) for force in turned]
         p = p + h * v + h**2 * (a[0] + 2 * a[1]) / 6
         v = v + h * (a[0] + 4 * a[1] + a[2]) / 6
         q = product(q, exponential(_turn(w[0], w[2], h)))
@@ -124,5 +124,5 @@ def _turn(first: ca.SX, last: ca.SX, duration: ca.SX) -> ca.SX:
 class TunedStrapdown(Strapdown):
     """The same, for an age that is found in flight, up to `time`: the input `late`."""
 
-    def _late(self, given: Inputs, since: Any) -> Any:
-        return given.symbol("late", (1, 1))
+    def _late(self, inputs: Inputs, since: Any) -> Any:
+        return inputs.symbol("late", (1, 1))

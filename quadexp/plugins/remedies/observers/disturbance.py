@@ -25,11 +25,11 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.control.inputs import Circumstances
 from quadexp.control.mpc.controller import PredictiveController
-from quadexp.control.part import ControllerPart, Remedy
+from quadexp.control.part import Compensation, ControllerPart
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
+from quadexp.models.build_context import BuildContext
 from quadexp.models.residual import Residual
-from quadexp.parts.part import Given
 from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import named_function
 from quadexp.physics.rigid_body import body_features
@@ -129,17 +129,17 @@ class DisturbanceObserver(ObserverPart):
         1.0, "standard deviation of the air's scale when a flight begins", "[0, 10]", when="air_walk"
     )
 
-    def scales_air(self, given: Given) -> bool:
+    def scales_air(self, context: BuildContext) -> bool:
         """See Remedy."""
         return self.air_walk > 0
 
     def around(self, controller: Any) -> Any:
         """See Remedy."""
-        inner = believer(controller, self.name)
+        wrapped = believer(controller, self.name)
         for name in ("scale_walk", "air_walk"):
             if self.source == "velocity" and getattr(self, name) > 0:
                 raise UsageError(f"observer.{name}: a scale is found from the accelerometer, not with source=velocity")
-        core = innermost(inner)
+        core = innermost(wrapped)
         if self.air_walk > 0 and isinstance(core, PredictiveController) and core.mpc.residual.unscaled is None:
             raise UsageError("observer.air_walk: the MPC was made without a scale of its model of the air (air.scaled)")
         return self.put(controller)
@@ -175,9 +175,9 @@ class DisturbanceObserver(ObserverPart):
             return np.concatenate([np.zeros(N_SCALED), P.ravel(), np.zeros(3), x[RATE], np.zeros(3)])
         return np.concatenate([np.zeros(3), x[VELOCITY], [self.force_initial**2], x[RATE], np.zeros(3)])
 
-    def check(self, vehicle: Vehicle, plant: Any, controller: ControllerPart, others: tuple[Remedy, ...]) -> None:
+    def check(self, vehicle: Vehicle, plant: Any, controller: ControllerPart, others: tuple[Compensation, ...]) -> None:
         """See Remedy. A scale of the thrust or of the air is the ratio of two forces at one time. Where motors lag, the
-        thrusts of that time are known from rotor speeds, or from a lag and a dead time that are told."""
+        thrusts of that time are known from rotor speeds, or from a lag and a dead time that are given."""
         lag = getattr(plant, "loop_lag", 0.0)
         stated = [getattr(part, name, None) for part in (self, controller) for name in ("motor_lag", "dead_time")]
         if vehicle.thrust_coefficient is not None or not lag or any(stated):

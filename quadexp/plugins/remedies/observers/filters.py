@@ -26,9 +26,9 @@ Noise of the thrust, of relative variance n, is in y and, the other way round, i
 -P e_k n (1 + k) h' S^-1 h, which would pull k towards -1 where little else moves h. It is added back,
 to first order, the less, the higher k is: a noise that is stated too high would have it run away.
 
-However fast the estimated force is, the filter believes in one of APART at most: a faster one takes the noise of the
+However fast the estimated force is, the filter assumes one of APART at most: a faster one takes the noise of the
 readings for forces, the controller answers them with thrust, and what it answered with is taken for a scale. What the
-filter leaves of y goes through a low pass of the whole bandwidth, e^ += gain (y - H [a, k, c] - e^); a^ + e^ is told.
+filter leaves of y goes through a low pass of the whole bandwidth, e^ += gain (y - H [a, k, c] - e^); a^ + e^ is given.
 """
 
 from __future__ import annotations

@@ -18,8 +18,8 @@ import numpy as np
 from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Window
+from quadexp.control.control_step import ControlStep, InputArrays, control_step_of
 from quadexp.control.inputs import Circumstances, Inputs
-from quadexp.control.instant import Instant, Told, instant_of
 from quadexp.control.layer import NO_BELIEF, Layer, LayerPart
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.wrapped import WrappedController, air_of, innermost, parameters_of
@@ -78,28 +78,28 @@ class ObserverPart(LayerPart):
         """Of the estimate, as the flight begins in a state, (13,)."""
         raise NotImplementedError
 
-    def remembers(self, given: Inputs) -> dict[str, int]:
+    def remembers(self, inputs: Inputs) -> dict[str, int]:
         """See LayerPart: the estimate, and whether anything has been read."""
         return {"estimate": self.begin(np.zeros(N_STATE)).size, "flown": 1}
 
-    def start(self, given: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
+    def start(self, inputs: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
         """See LayerPart."""
         return {"estimate": self.begin(x)}
 
-    def before(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+    def before(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """The update, from the first reading on."""
-        air = given.residual or no_residual(vehicle)
-        read, flown = given.fresh[0], ca.fmax(memory.flown, given.fresh[0])
-        told = given.state, given.specific_force, read, given.delivered, given.mean, given.theta
-        update = self.update(vehicle, air, given.about)
-        estimate, belief = update(memory.estimate, *told, ca.DM(self.settings(given.period)))
+        air = inputs.residual or no_residual(vehicle)
+        read, flown = inputs.fresh[0], ca.fmax(memory.flown, inputs.fresh[0])
+        known = inputs.state, inputs.specific_force, read, inputs.delivered, inputs.mean, inputs.theta
+        update = self.update(vehicle, air, inputs.about)
+        estimate, belief = update(memory.estimate, *known, ca.DM(self.settings(inputs.period)))
         estimate, belief = (
             ca.if_else(flown, new, old) for new, old in ((estimate, memory.estimate), (belief, ca.DM(NO_BELIEF)))
         )
         return {"estimate": estimate, "flown": 1, "belief": belief}
 
     def put(self, controller: Any) -> Observer | ObservingMPC:
-        """The controller that is told of it, where it can be."""
+        """The controller that is given it, where it can be."""
         core = innermost(controller)
         about = Circumstances(
             controller.control_period,
@@ -113,52 +113,52 @@ class ObserverPart(LayerPart):
 
 
 class Observer(Layer):
-    """A controller that is told before each of its steps what an observer estimates."""
+    """A controller that is given before each of its steps what an observer estimates."""
 
     @property
     def finds_torque(self) -> bool:
-        """Whether the controller is told of a torque."""
+        """Whether the controller is given a torque."""
         part: Any = self.part
         return part.torque_bandwidth > 0
 
     @property
     def numbers(self) -> np.ndarray:
-        """What is believed since the last step, (11,), in the order of Belief."""
+        """What is assumed since the last step, (11,), in the order of Belief."""
         return self.results["belief"]
 
 
 class ObservingMPC(WrappedController):
     """An MPC with an observer: the update is a part of its step (plugins.remedies.believed_world)."""
 
-    def __init__(self, inner: PredictiveController, part: ObserverPart, about: Circumstances) -> None:
-        super().__init__(inner)
+    def __init__(self, wrapped: PredictiveController, part: ObserverPart, about: Circumstances) -> None:
+        super().__init__(wrapped)
         self.part, self.finds_torque = part, part.torque_bandwidth > 0
-        inner.targets = part.targets
-        function = part.update(inner.vehicle, air_of(inner), about)
+        wrapped.targets = part.targets
+        function = part.update(wrapped.vehicle, air_of(wrapped), about)
         estimator = Estimator(function, part.settings(about.period), about.delays)
         self._world = BelievedWorld(
-            inner.mpc, inner.node_times, targets=inner.targets, air=inner.residual, estimator=estimator
+            wrapped.mpc, wrapped.node_times, targets=wrapped.targets, air=wrapped.residual, estimator=estimator
         )
-        inner.believed = self._world
+        wrapped.believed = self._world
         self.numbers = self._world.numbers
 
     def reset(self, x: np.ndarray, window: Window) -> None:
-        """See Controller.reset: nothing is believed of the world yet."""
+        """See Controller.reset: nothing is assumed of the world yet."""
         super().reset(x, window)
         self._world.reset(self.part.begin(x))
 
-    def instant(self, told: Told, state: np.ndarray) -> Instant:
-        """See control.instant."""
-        inner = instant_of(self.inner, told, state)
-        return inner._replace(logged=(*inner.logged, self.numbers))
+    def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
+        """See control.control_step."""
+        step = control_step_of(self.wrapped, inputs, state)
+        return step._replace(logged=(*step.logged, self.numbers))
 
     def log(self) -> dict[str, float]:
         """See Controller.log: the estimates, beside the columns of the controller."""
-        return self.inner.log() | named(COLUMNS, self.numbers.tolist())
+        return self.wrapped.log() | named(COLUMNS, self.numbers.tolist())
 
 
 def believer(controller: Controller, name: str) -> Any:
-    """The controller, which can be told what an observer estimates.
+    """The controller, which can be given what an observer estimates.
 
     Raises UsageError where it cannot, or where it identifies its own model from the same accelerometer.
     """
@@ -168,13 +168,13 @@ def believer(controller: Controller, name: str) -> Any:
             " observer would explain the same readings a second time. Take one of them"
         )
     if not hasattr(controller, "believe"):
-        raise UsageError(f"observer={name}: this controller cannot be told what an observer estimates; an MPC can")
+        raise UsageError(f"observer={name}: this controller cannot be given what an observer estimates; an MPC can")
     return controller
 
 
-def known_delay(given: float | None, controller: Any, name: str) -> float:
-    """What an observer is told of a delay, else what its controller was told (s)."""
-    return float(getattr(getattr(controller, "settings", None), name, 0.0)) if given is None else given
+def known_delay(stated: float | None, controller: Any, name: str) -> float:
+    """What an observer is given a delay, else what its controller was given (s)."""
+    return float(getattr(getattr(controller, "settings", None), name, 0.0)) if stated is None else stated
 
 
 def arguments(vehicle: Vehicle, states: int, parameters: int, settings: int) -> dict[str, ca.MX]:

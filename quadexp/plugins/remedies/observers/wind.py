@@ -134,13 +134,13 @@ class WindObserver(ObserverPart):
 
     def around(self, controller: Any) -> Any:
         """See Remedy; UsageError where the model has too little drag to measure a wind."""
-        inner = believer(controller, self.name)
-        core = innermost(inner)
-        residual, period = air_of(core), inner.control_period
-        bandwidth = wind_bandwidth(inner.vehicle, residual, parameters_of(core), self, period)
+        wrapped = believer(controller, self.name)
+        core = innermost(wrapped)
+        residual, period = air_of(core), wrapped.control_period
+        bandwidth = wind_bandwidth(wrapped.vehicle, residual, parameters_of(core), self, period)
         if bandwidth < self.least_bandwidth:
             raise UsageError(
-                f"observer={self.name}: this controller knows too little drag of vehicle={inner.vehicle.name} to"
+                f"observer={self.name}: this controller knows too little drag of vehicle={wrapped.vehicle.name} to"
                 f" measure the wind (bandwidth {bandwidth:.2g} rad/s at {TYPICAL_AIRSPEED:g} m/s,"
                 f" observer.least_bandwidth is {self.least_bandwidth:g}); take observer=disturbance"
             )

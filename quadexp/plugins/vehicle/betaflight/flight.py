@@ -155,7 +155,7 @@ class Stacked(World):
         self, plant: Any, start: Callable[[], Firmware], rates: Rates, radio: Radio, order: Sequence[int]
     ) -> None:
         world = plant if isinstance(plant, World) else World(plant, [Latency()])
-        self._link = next((one for one in world.effects if isinstance(one, Latency)), Latency())
+        self._link = next((effect for effect in world.effects if isinstance(effect, Latency)), Latency())
         self._start, self._rates, self._radio, self._order = start, rates, radio, list(order)
         others = [effect for effect in world.effects if not isinstance(effect, Latency)]
         super().__init__(world.airframe, [Latency(), *others], world._believed)  # the motors' commands come at once
@@ -208,9 +208,9 @@ class Stacked(World):
 
     def _arrived(self) -> bytes | None:
         """The newest pulses that have come by now; older ones are forgotten."""
-        come = [one for one in self._waiting if one[0] <= self.time + TICK / 2]
+        come = [waiting for waiting in self._waiting if waiting[0] <= self.time + TICK / 2]
         if not come:
             return None
-        _, newest, command = max(come, key=lambda one: one[1])
-        self._waiting = [one for one in self._waiting if one[1] > newest]
+        _, newest, command = max(come, key=lambda waiting: waiting[1])
+        self._waiting = [waiting for waiting in self._waiting if waiting[1] > newest]
         return channels_packet(self._firmware.ticks * TICK, command)

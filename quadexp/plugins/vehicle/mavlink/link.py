@@ -95,11 +95,11 @@ class Link:
         self.peer = self.peer or peer
         if peer != self.peer:
             return []
-        found = self._mav.parse_buffer(data) or []
-        for message in found:
+        messages = self._mav.parse_buffer(data) or []
+        for message in messages:
             if message.get_type() == "TIMESYNC":
                 self._keep_time(message)
-        return list(found)
+        return list(messages)
 
     def _keep_time(self, message: Any) -> None:
         """The clocks' offset, from the shortest round trip; and an answer to who asks."""
@@ -124,7 +124,7 @@ class Link:
 
     def command(self, number: int, *parameters: float) -> int:
         """What the autopilot answers to a command: MAV_RESULT."""
-        given = [*parameters, *[0.0] * 7][:7]
-        self.send(self.messages.MAVLink_command_long_message(self.system, 1, number, 0, *given))
+        values = [*parameters, *[0.0] * 7][:7]
+        self.send(self.messages.MAVLink_command_long_message(self.system, 1, number, 0, *values))
         answer = self.wait("COMMAND_ACK", 2.0, lambda message: message.command == number)
         return int(answer.result)

@@ -147,10 +147,10 @@ class Session:
             return 1e-6 * message.time_usec, odometry_state(message)
         elif kind in ("LOCAL_POSITION_NED", "ATTITUDE_QUATERNION") and "whole" not in self._parts:
             self._parts[kind] = message
-            one, other = self._parts.get("LOCAL_POSITION_NED"), self._parts.get("ATTITUDE_QUATERNION")
-            if one and other and abs(one.time_boot_ms - other.time_boot_ms) <= TOGETHER:
+            position, attitude = self._parts.get("LOCAL_POSITION_NED"), self._parts.get("ATTITUDE_QUATERNION")
+            if position and attitude and abs(position.time_boot_ms - attitude.time_boot_ms) <= TOGETHER:
                 self._parts = {}
-                return 1e-3 * max(one.time_boot_ms, other.time_boot_ms), parts_state(one, other)
+                return 1e-3 * max(position.time_boot_ms, attitude.time_boot_ms), parts_state(position, attitude)
         return None
 
     def fly(self) -> tuple[str, str]:
@@ -160,7 +160,9 @@ class Session:
         waiting = [] if self._newest is None else [self._newest]
         while True:
             try:
-                states = waiting or [found for message in self.link.receive(silent) if (found := self._hear(message))]
+                states = waiting or [
+                    measurement for message in self.link.receive(silent) if (measurement := self._hear(message))
+                ]
             except QuadexpError as error:
                 return "solver_failed", str(error)
             arrived, waiting = time.monotonic(), []

@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 from quadexp.control.base import Belief, Measurement, Window
+from quadexp.control.control_step import run
 from quadexp.control.delivered import SentCommands
-from quadexp.control.instant import run
 from quadexp.control.mpc import mpc as landed
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import StepRecord
@@ -59,8 +59,8 @@ def test_mean_thrusts_are_those_of_the_commands(dead_time, lag):
             assert mean[i] == pytest.approx(true, abs=2e-6)
 
 
-class Told(WrappedController):
-    """Keeps what it is told, sends what it is given, and believes something."""
+class InputArrays(WrappedController):
+    """Keeps what it is given, sends what it is given, and believes something."""
 
     def __init__(self, inner, commands, belief=None):
         super().__init__(inner)
@@ -85,13 +85,13 @@ def made(vehicle, residual, **settings):
 @pytest.mark.parametrize("belief", [None, PUSHED])
 @pytest.mark.parametrize(("delay", "dead_time", "lag"), [(0.01, 0.0, 0.0), (0.035, 0.0, 0.0), (0.05, 0.013, 0.03)])
 def test_the_state_of_now_is_found(request, which, belief, delay, dead_time, lag):
-    """The model itself flies, with rotors that follow late and in a wind and under a force that are believed."""
+    """The model itself flies, with rotors that follow late and in a wind and under a force that are assumed."""
     vehicle = request.getfixturevalue(which)
     residual = linear_drag_residual(vehicle, (0.4, 0.3, 0.1))
     model, (theta, n) = corrected_function(vehicle, residual), (residual.theta, vehicle.n_rotors)
     rng = np.random.default_rng(4)
     commands = vehicle.hover_thrust * (1 + 0.1 * rng.standard_normal((12, n)))
-    told = Told(made(vehicle, residual), commands, belief)
+    told = InputArrays(made(vehicle, residual), commands, belief)
     wrapped = Prediction(time=delay, dead_time=dead_time, motor_lag=lag).around(told)
     world = belief or Belief(np.zeros(3), np.zeros(3), np.zeros(3))
 

@@ -46,7 +46,7 @@ class Motion:
 
 
 def flown(vehicle, motion, delay, believed=None, bias=0.0, periods=20):
-    """States that the controller is told at each instant, (k, 13), and the true ones."""
+    """States that the controller is given at each instant, (k, 13), and the true ones."""
     told = Held(vehicle, np.zeros(4), PERIOD)
     wrapped = Strapdown(time=delay if believed is None else believed).around(told)
     wrapped.reset(motion.state(0.0), WINDOW)

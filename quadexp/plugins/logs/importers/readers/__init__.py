@@ -58,12 +58,12 @@ class Reader(Protocol):
 def readers() -> dict[str, Reader]:
     """Every format, the most general last: to it any text is a table."""
     names = sorted(places("readers"), key=lambda name: name == "csv")
-    found = {name: brought("readers", name) for name in names}
-    for name, reader in found.items():
+    modules = {name: brought("readers", name) for name in names}
+    for name, reader in modules.items():
         lacking = [asked for asked in ("ABOUT", "recognises", "read") if not hasattr(reader, asked)]
         if lacking:
             raise UsageError(f"reader {name}: {places('readers')[name]} has no {', '.join(lacking)}")
-    return found
+    return modules
 
 
 def reader_of(path: Path) -> str:

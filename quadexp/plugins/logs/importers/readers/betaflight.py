@@ -97,29 +97,29 @@ def _number(row: tuple[Any, ...], place: int) -> float:
 
 def quantities(header: dict[str, Any], fields: Numbers) -> Numbers:
     """Quantity of an import -> values (k, m) in SI and FLU."""
-    made: Numbers = {}
+    result: Numbers = {}
     gyro = _columns(fields, "gyroADC", 3)
     if gyro is not None:
-        made["rate"] = gyro * _scale(header.get("gyro_scale", 1.0)) * UNITS["rate"]["deg/s"]
+        result["rate"] = gyro * _scale(header.get("gyro_scale", 1.0)) * UNITS["rate"]["deg/s"]
     acceleration = _columns(fields, "accSmooth", 3)
     if acceleration is not None:
-        made["acceleration"] = acceleration / float(header.get("acc_1G", 2048)) * STANDARD_GRAVITY
+        result["acceleration"] = acceleration / float(header.get("acc_1G", 2048)) * STANDARD_GRAVITY
     quaternion = _columns(fields, "imuQuaternion", 3)
     if quaternion is not None:
         vector = quaternion / QUATERNION_SCALE
         scalar = np.sqrt(np.maximum(1.0 - np.sum(vector**2, axis=1), 0.0))
-        made["attitude"] = continuous(np.column_stack([scalar, vector]))
+        result["attitude"] = continuous(np.column_stack([scalar, vector]))
     motors = _columns(fields, "motor", None)
     if motors is not None:
         low, high = _output(header)
-        made["motor_command"] = (motors - low) / (high - low)
+        result["motor_command"] = (motors - low) / (high - low)
     turns = _columns(fields, "eRPM", None)
     if turns is not None and np.nanmax(turns, initial=0.0) > 0:
         pairs = float(header.get("motor_poles", USUAL_POLES)) / 2
-        made["rotor_speed"] = 100.0 * turns / pairs * UNITS["rotor_speed"]["rpm"]
+        result["rotor_speed"] = 100.0 * turns / pairs * UNITS["rotor_speed"]["rpm"]
     if "vbatLatest" in fields:
-        made["battery_voltage"] = fields["vbatLatest"][:, None] * UNITS["voltage"]["cV"]
-    return made
+        result["battery_voltage"] = fields["vbatLatest"][:, None] * UNITS["voltage"]["cV"]
+    return result
 
 
 def _columns(fields: Numbers, name: str, count: int | None) -> np.ndarray | None:

@@ -121,13 +121,13 @@ def _opened(reader_class: Any, source: Path, typestore: Any) -> Iterator[tuple[A
         encoding = getattr(connection.ext, "serialization_format", "cdr")
         return encoding == "cdr" and bool(_fields(connection.msgtype) or _px4_topic(connection.msgtype))
 
-    def narrowed(one: Any, begin: Callable[[], None]) -> None:
+    def narrowed(topic: Any, begin: Callable[[], None]) -> None:
         begin()
-        others.update(f"{c.topic} ({c.msgtype})" for c in one.connections if not of_use(c))
-        one.connections[:] = [c for c in one.connections if of_use(c)]
+        others.update(f"{c.topic} ({c.msgtype})" for c in topic.connections if not of_use(c))
+        topic.connections[:] = [c for c in topic.connections if of_use(c)]
 
-    for one in reader.readers:
-        one.open = partial(narrowed, one, one.open)
+    for part in reader.readers:
+        part.open = partial(narrowed, part, part.open)
     storage_mcap.get_msgdef = definition
     try:
         with reader:
@@ -138,8 +138,8 @@ def _opened(reader_class: Any, source: Path, typestore: Any) -> Iterator[tuple[A
 
 def _px4_topic(kind: str) -> str:
     """The ULog's name of a message of PX4, or "" where it is of no use."""
-    found = re.fullmatch(r"px4_msgs/msg/(\w+)", kind)
-    name = re.sub(r"(?<=.)([A-Z])", r"_\1", found[1]).lower() if found else ""
+    match = re.fullmatch(r"px4_msgs/msg/(\w+)", kind)
+    name = re.sub(r"(?<=.)([A-Z])", r"_\1", match[1]).lower() if match else ""
     return name if name in TOPICS else ""
 
 
@@ -203,7 +203,7 @@ def _fields(kind: str) -> _Fields:
     return next((fields for pattern, fields in _MESSAGES if re.fullmatch(pattern, kind)), ())
 
 
-def _take(found: _Found, fields: _Fields, topic: str, t: float, message: Any) -> None:
+def _take(recognised: _Found, fields: _Fields, topic: str, t: float, message: Any) -> None:
     """Put what a message holds to its rows."""
     done = set()
     for quantity, place in fields:
@@ -216,7 +216,7 @@ def _take(found: _Found, fields: _Fields, topic: str, t: float, message: Any) ->
             continue
         done.add(quantity)
         in_body = quantity == "velocity" and _in_body(topic, message)
-        rows = found.setdefault(quantity, {}).setdefault(topic, _Rows(topic, in_body, [], []))
+        rows = recognised.setdefault(quantity, {}).setdefault(topic, _Rows(topic, in_body, [], []))
         if not rows.values or count == len(rows.values[0]):
             rows.t.append(t)
             rows.values.append(values)
@@ -246,12 +246,12 @@ def _in_body(topic: str, message: Any) -> bool:
     )
 
 
-def _choose(path: Path, log: RawLog, found: _Found) -> None:
+def _choose(path: Path, log: RawLog, recognised: _Found) -> None:
     """Of every quantity the topic to take, then everything into ENU and FLU."""
     chosen: dict[str, _Rows] = {}
     pose = None
-    for quantity in ("position", "attitude", "velocity", "rate", "acceleration", *sorted(found)):
-        topics = [rows for rows in found.get(quantity, {}).values() if len(rows.t) >= LEAST_MESSAGES]
+    for quantity in ("position", "attitude", "velocity", "rate", "acceleration", *sorted(recognised)):
+        topics = [rows for rows in recognised.get(quantity, {}).values() if len(rows.t) >= LEAST_MESSAGES]
         if quantity in chosen or not topics:
             continue
         chosen[quantity] = max(topics, key=lambda rows: _rank(rows, quantity, pose))

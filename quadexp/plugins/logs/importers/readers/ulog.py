@@ -129,7 +129,7 @@ def _reader(path: Path) -> Any:
 
         def _read_file_definitions(self) -> None:
             super()._read_file_definitions()
-            _check_formats({name: made.fields for name, made in self._message_formats.items()})
+            _check_formats({name: message_format.fields for name, message_format in self._message_formats.items()})
 
         def _check_packet_corruption(self, header: Any) -> bool:
             damaged = super()._check_packet_corruption(header)

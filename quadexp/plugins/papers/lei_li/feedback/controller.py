@@ -13,8 +13,8 @@ from quadexp.control.inputs import Inputs
 from quadexp.control.law import Law
 from quadexp.control.laws.explicit import ExplicitController
 from quadexp.errors import UsageError
+from quadexp.models.build_context import BuildContext
 from quadexp.names import named
-from quadexp.parts.part import Given
 from quadexp.parts.settings import REQUIRED, Backend, key, keyed
 from quadexp.physics.expression import split
 from quadexp.physics.rotation import air_velocity
@@ -72,9 +72,9 @@ class Feedback(FeedbackSettings, Law):
         identified = (*THETA, "clips", "reopened") if self.identifies else ()
         return ("phi_d", "theta_d", "error_eta", "cone", "floored", "limited", *identified)
 
-    def remembers(self, given: Inputs) -> Mapping[str, int]:
+    def remembers(self, inputs: Inputs) -> Mapping[str, int]:
         """See Law: values of the previous sample; what identification knows."""
-        sizes = {"rotor_speed": given.vehicle.n_rotors, "eta_d": 3, "observer": 6, "velocity": 3}
+        sizes = {"rotor_speed": inputs.vehicle.n_rotors, "eta_d": 3, "observer": 6, "velocity": 3}
         known = self.rls.remembered if self.identifies else {}
         return sizes | {RLS + name: values.size for name, values in known.items()}
 
@@ -85,35 +85,35 @@ class Feedback(FeedbackSettings, Law):
         hover = np.full(vehicle.n_rotors, hover_rotor_speed(vehicle))
         return {"rotor_speed": hover, "velocity": velocity} | {RLS + name: values for name, values in known.items()}
 
-    def equations(self, vehicle: Vehicle, given: Inputs, memory: Any) -> dict[str, Any]:
+    def equations(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """See Law; (27) to (40). Rotor speeds that are not measured are those that were commanded."""
-        read, turning = ca.vertsplit(given.fresh)
-        speed = ca.if_else(ca.logic_and(read, turning), given.rotor_speed, memory.rotor_speed)
-        found: dict[str, Any] = {}
+        read, turning = ca.vertsplit(inputs.fresh)
+        speed = ca.if_else(ca.logic_and(read, turning), inputs.rotor_speed, memory.rotor_speed)
+        results: dict[str, Any] = {}
         theta = ca.DM.zeros(len(THETA))
         if self.identifies:
-            velocity = air_velocity(given.state[ATTITUDE], given.state[VELOCITY])
-            told = {"v": velocity, "w": speed, "y": given.specific_force, "read": read}
-            found = identified(self.rls, vehicle, memory, told)
-            theta = found[f"{RLS}used"]
-            found |= named(THETA, ca.vertsplit(theta))
-            found |= {"clips": ca.sum1(found[f"{RLS}clips"]), "reopened": found[f"{RLS}reopened"]}
+            velocity = air_velocity(inputs.state[ATTITUDE], inputs.state[VELOCITY])
+            sample = {"v": velocity, "w": speed, "y": inputs.specific_force, "read": read}
+            results = identified(self.rls, vehicle, memory, sample)
+            theta = results[f"{RLS}used"]
+            results |= named(THETA, ca.vertsplit(theta))
+            results |= {"clips": ca.sum1(results[f"{RLS}clips"]), "reopened": results[f"{RLS}reopened"]}
         elif self.knows_plant:
-            theta = given.symbol("coefficients", (len(THETA), 1))
+            theta = inputs.symbol("coefficients", (len(THETA), 1))
         law = law_function(vehicle, self, self.compensates)
-        yaw = given.heading + ca.vertcat(0, given.drift, 0)
-        arguments = {"x": given.state, "reference": given.path[:, :3], "yaw": yaw, "theta": theta}
+        yaw = inputs.heading + ca.vertcat(0, inputs.drift, 0)
+        arguments = {"x": inputs.state, "reference": inputs.path[:, :3], "yaw": yaw, "theta": theta}
         arguments["observer_last"] = ca.reshape(memory.observer, 3, 2)
         last = {"rotor_speed": speed, "eta_d": memory.eta_d, "velocity": memory.velocity}
         if self.compensates.delayed:
             result = law.call(arguments | {f"{name}_last": value for name, value in last.items()})
         else:
             result = _fixed_point(law, arguments, last, self.inner_iterations)
-        found |= {name: result[name] for name in last} | {"observer": ca.vec(result["observer"])}
-        found |= named(("phi_d", "theta_d"), ca.vertsplit(result["eta_d"][:2]))
-        found |= {"error_eta": ca.norm_2(result["error"]), "cone": result["outside"]}
-        found |= {name: result[name] for name in ("floored", "limited")}
-        return found | {"command": result["thrust"], "held": result["floored"] + result["limited"]}
+        results |= {name: result[name] for name in last} | {"observer": ca.vec(result["observer"])}
+        results |= named(("phi_d", "theta_d"), ca.vertsplit(result["eta_d"][:2]))
+        results |= {"error_eta": ca.norm_2(result["error"]), "cone": result["outside"]}
+        results |= {name: result[name] for name in ("floored", "limited")}
+        return results | {"command": result["thrust"], "held": result["floored"] + result["limited"]}
 
     def controller(self, vehicle: Vehicle, *more: Any, **places: Any) -> ExplicitController:
         """See Law; UsageError for a vehicle without what the equations need."""
@@ -124,27 +124,28 @@ class Feedback(FeedbackSettings, Law):
             )
         return super().controller(vehicle, *more, **places)
 
-    def build(self, given: Given) -> Any:
+    def build(self, context: BuildContext) -> Any:
         """See ControllerPart; UsageError where it is to know coefficients that the plant does not have."""
         places: dict[str, np.ndarray] = {}
         source = "RLS in flight" if self.identifies else "the vehicle's thrust map"
         if self.knows_plant:
-            if not hasattr(given.plant, "coefficients"):
+            if context.plant is None or not hasattr(context.plant, "coefficients"):
                 raise UsageError(
                     f"{self.name}: knows the plant's blade-element coefficients; plant=blade_element has them"
                 )
-            places, source = {"coefficients": given.plant.coefficients.parameters()}, "plant equations"
-        controller = self.controller(given.vehicle, places=places)
-        controller.name = "thrust_map" if self.compensates.parameters == "none" else "blade_element"
+            places, source = {"coefficients": context.plant.coefficients.parameters()}, "plant equations"
+        controller = self.controller(context.vehicle, places=places)
+        controller.residual_name = "thrust_map" if self.compensates.parameters == "none" else "blade_element"
         controller.source = source
         return controller
 
 
-def identified(rls: Identification, vehicle: Vehicle, memory: Any, told: dict[str, Any]) -> dict[str, Any]:
-    """Next values of what identification knows, by name, from a sample. told: v, w, y, read of its update_function."""
+def identified(rls: Identification, vehicle: Vehicle, memory: Any, sample: dict[str, Any]) -> dict[str, Any]:
+    """Next values of what identification knows, by name, from a sample. sample: v, w, y, read of its
+    update_function."""
     kept = {NOW + name: getattr(memory, RLS + name) for name in rls.remembered}
-    found = rls.update(vehicle).call(kept | told)
-    return {RLS + name: found[NEXT + name] for name in rls.remembered}
+    updated = rls.update(vehicle).call(kept | sample)
+    return {RLS + name: updated[NEXT + name] for name in rls.remembered}
 
 
 def _fixed_point(law: ca.Function, arguments: dict[str, Any], last: dict[str, Any], iterations: int) -> dict[str, Any]:
@@ -152,10 +153,10 @@ def _fixed_point(law: ca.Function, arguments: dict[str, Any], last: dict[str, An
     fixed = [ca.MX.sym(name, value.shape) for name, value in arguments.items()]
     before = ca.MX.sym("before", sum(value.numel() for value in last.values()) + 1)
     values = dict(zip(last, split(before[:-1], [value.numel() for value in last.values()]), strict=True))
-    found = law.call(named(arguments, fixed) | {f"{name}_last": value for name, value in values.items()})
-    change = sum(ca.norm_inf(found[name] - values[name]) for name in ("rotor_speed", "eta_d"))
+    results = law.call(named(arguments, fixed) | {f"{name}_last": value for name, value in values.items()})
+    change = sum(ca.norm_inf(results[name] - values[name]) for name in ("rotor_speed", "eta_d"))
     moves = change > INNER_TOLERANCE
-    after = ca.if_else(moves, ca.vertcat(*(found[name] for name in last)), before[:-1])
+    after = ca.if_else(moves, ca.vertcat(*(results[name] for name in last)), before[:-1])
     once = ca.Function("once", [before, *fixed], [ca.if_else(before[-1], ca.vertcat(after, moves), before, True)])
     at = ca.vertcat(*last.values(), 1)
     for _ in range(iterations):

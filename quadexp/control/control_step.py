@@ -1,12 +1,12 @@
-"""A control instant as operations on fixed arrays, in order: the one text of what a controller does.
+"""A control instant as calls on fixed arrays, in order: the one text of what a controller does.
 
-A controller of this program, and everything around it, says by `instant(told)` what it does; what is around a
-controller asks the one inside, and adds its own operations before and behind. The same list on the same arrays is run
+A controller of this program, and everything around it, says by `control_step(inputs)` what it does; what is around a
+controller asks the one inside, and adds its own calls before and behind. The same list on the same arrays is run
 by `run`, in Python, and by loop.c, so that either may take over from the other at any instant. What cannot
-be said in operations, such as a user's own controller, is an operation of the kind `python`.
+be said in calls, such as a user's own controller, is an call of the kind `python`.
 
 Where an instant is out of the ordinary, C leaves it to Python from its beginning: memory (compile/memory.py) is as it
-was until all operations have succeeded, and what else goes on from instant to instant is written behind the command.
+was until all calls have succeeded, and what else goes on from instant to instant is written behind the command.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ KINDS = (
 YES = np.ones(1)
 
 
-class Operation(NamedTuple):
+class Call(NamedTuple):
     """to, source, other: arrays; numbers as many as `to` has. factor: a number. function: that is called. act: what
     Python does. every: at which instants, one of so many. when: (1,), only where it is not 0; None: always.
 
@@ -62,83 +62,83 @@ class Operation(NamedTuple):
     when: np.ndarray | None = None
 
 
-def call(function: BufferedFunction, when: np.ndarray | None = None) -> Operation:
-    return Operation("call", function=function, when=when)
+def call(function: BufferedFunction, when: np.ndarray | None = None) -> Call:
+    return Call("call", function=function, when=when)
 
 
-def copy(to: np.ndarray, source: np.ndarray, when: np.ndarray | None = None) -> Operation:
-    return Operation("copy", to, source, when=when)
+def copy(to: np.ndarray, source: np.ndarray, when: np.ndarray | None = None) -> Call:
+    return Call("copy", to, source, when=when)
 
 
-def python(act: Callable[[], Any], when: np.ndarray | None = None) -> Operation:
-    return Operation("python", act=act, when=when)
+def python(act: Callable[[], Any], when: np.ndarray | None = None) -> Call:
+    return Call("python", act=act, when=when)
 
 
-class Told:
-    """Where a controller finds what it is told at an instant.
+class InputArrays:
+    """Where a controller finds what it is given at an instant.
 
     state: (13,). force: specific force, (3,). speed: of the rotors, (n,). read, turning: (1,), whether these two are
     measured now, otherwise they are as they were; fresh: both. path: (5, 3), yaw: (4,), of the reference now:
-    Window.position; Window.yaw with drift behind it. t: s. window: of the reference. Both for operations in Python
+    Window.position; Window.yaw with drift behind it. t: s. window: of the reference. Both for calls in Python
     alone.
     """
 
     def __init__(self, rotors: int) -> None:
-        self.state, self.force, self.speed = np.zeros(N_STATE), np.zeros(3), np.zeros(rotors)
+        self.state, self.specific_force, self.rotor_speed = np.zeros(N_STATE), np.zeros(3), np.zeros(rotors)
         self.fresh = np.zeros(2)
-        self.read, self.turning = self.fresh[:1], self.fresh[1:]
+        self.accelerometer_valid, self.rotor_speed_valid = self.fresh[:1], self.fresh[1:]
         self.path, self.yaw = np.zeros((5, 3)), np.zeros(4)
         self.t = 0.0
         self.window: Window
 
-    def tell(self, measurement: Measurement, window: Window) -> None:
+    def set_measurement(self, measurement: Measurement, window: Window) -> None:
         """Write what is known at a control instant."""
         self.t, state, force, speed = measurement
         self.state[...] = state
-        self.read[0], self.turning[0] = force is not None, speed is not None
+        self.accelerometer_valid[0], self.rotor_speed_valid[0] = force is not None, speed is not None
         if force is not None:
-            self.force[...] = force
+            self.specific_force[...] = force
         if speed is not None:
-            self.speed[...] = speed
-        self.look(window)
+            self.rotor_speed[...] = speed
+        self.set_reference(window)
 
-    def look(self, window: Window) -> None:
+    def set_reference(self, window: Window) -> None:
         """Write what is known of the reference."""
         self.window = window
         self.path[...], self.yaw[:3], self.yaw[3] = window.position, window.yaw, window.drift
 
 
-class Instant(NamedTuple):
-    """operations: in their order. command: where they leave it, (n,). record: of the step, by the seconds that it took.
-    state: the array that has the state as this controller is told. held: number of rotors at a limit, of a law.
+class ControlStep(NamedTuple):
+    """calls: in their order. command: where they leave it, (n,). record: of the step, by the seconds that it took.
+    state: the array that has the state as this controller is given. saturated: number of rotors at a limit, of a law.
     logged: what `Controller.log` gives, in its order. plan: the PredictiveController that makes it. memory: what is
-    remembered; behind all operations what they have left of it becomes what they read."""
+    remembered; behind all calls what they have left of it becomes what they read."""
 
-    operations: list[Operation]
+    calls: list[Call]
     command: np.ndarray
     record: Callable[[float], StepRecord]
-    held: np.ndarray | None = None
+    saturated: np.ndarray | None = None
     logged: tuple[np.ndarray, ...] = ()
     plan: Any = None
     memory: tuple[Memory, ...] = ()
 
 
-def law_record(thrust: np.ndarray, held: np.ndarray, kept: np.ndarray) -> Callable[[float], StepRecord]:
+def law_record(thrust: np.ndarray, saturated: np.ndarray, kept: np.ndarray) -> Callable[[float], StepRecord]:
     """The record of a law in closed form, of its command, (n,), how many rotors are at a limit, (1,), and what it
     remembers, (m,); FAILED where these are not finite."""
 
     def record(took: float) -> StepRecord:
-        status = Status.RICCATI if math.isfinite(thrust.sum() + kept.sum()) else Status.FAILED
-        return StepRecord(took, status, 0, int(held.item(0)), 0.0)
+        status = Status.OK if math.isfinite(thrust.sum() + kept.sum()) else Status.FAILED
+        return StepRecord(took, status, 0, int(saturated.item(0)), 0.0)
 
     return record
 
 
-def run(operations: Sequence[Operation], k: int = 0, window: Any = None) -> None:
-    """The operations of control instant k, as loop.c runs them; window: of the reference, a Window."""
-    operation: Any
-    for operation in operations:
-        kind, to, source, other, factor, function, act, every, when = operation
+def run(calls: Sequence[Call], k: int = 0, window: Any = None) -> None:
+    """The calls of control instant k, as loop.c runs them; window: of the reference, a Window."""
+    entry: Any
+    for entry in calls:
+        kind, to, source, other, factor, function, act, every, when = entry
         if k % every or (when is not None and not when[0]):
             continue
         if kind == "copy" or kind == "commit":
@@ -165,44 +165,44 @@ def run(operations: Sequence[Operation], k: int = 0, window: Any = None) -> None
 
 
 class Running:
-    """The operations of a controller, and the arrays that it is told by. k: instants since the flight began."""
+    """The calls of a controller, and the arrays that have its inputs. k: instants since the flight began."""
 
     def __init__(self, controller: Any) -> None:
-        self.told, self.k = Told(controller.vehicle.n_rotors), 0
-        made: Instant = controller.instant(self.told, self.told.state)
-        kept = [Operation("commit", *pair) for memory in made.memory for pair in memory.pairs]
-        self.instant = made._replace(operations=[*made.operations, *kept])
-        self._operations = [o for o in self.instant.operations if o.kind not in ("finite", "near")]  # which are C's
+        self.inputs, self.k = InputArrays(controller.vehicle.n_rotors), 0
+        step: ControlStep = controller.control_step(self.inputs, self.inputs.state)
+        kept = [Call("commit", *pair) for memory in step.memory for pair in memory.pairs]
+        self.control_step = step._replace(calls=[*step.calls, *kept])
+        self._calls = [o for o in self.control_step.calls if o.kind not in ("finite", "near")]  # which are C's
 
     @property
     def declared(self) -> bool:
         """Whether all that is remembered is declared."""
-        return not any(o.kind == "python" for o in self.instant.operations)
+        return not any(o.kind == "python" for o in self.control_step.calls)
 
     @property
     def memory(self) -> dict[str, np.ndarray]:
         """What is remembered now, OWNER.NAME -> the array."""
-        kept = self.instant.memory
-        return {f"{one.owner}.{name}": values for one in kept for name, values in one.of_now.items()}
+        kept = self.control_step.memory
+        return {f"{part.owner}.{name}": values for part in kept for name, values in part.of_now.items()}
 
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
         began = time.perf_counter()
-        self.told.tell(measurement, window)
+        self.inputs.set_measurement(measurement, window)
         try:
-            run(self._operations, self.k, window)
+            run(self._calls, self.k, window)
         except BaseException:  # Ctrl-C too: who goes on afterwards goes on from what was remembered
-            for memory in self.instant.memory:
+            for memory in self.control_step.memory:
                 memory.take_back()
             raise
         self.k += 1
-        return self.instant.command.copy(), self.instant.record(time.perf_counter() - began)
+        return self.control_step.command.copy(), self.control_step.record(time.perf_counter() - began)
 
 
-class InOperations:
-    """A controller that says by `instant(told, state)` what it does: Controller.step for all of this program.
+class InCalls:
+    """A controller that says by `control_step(inputs, state)` what it does: Controller.step for all of this program.
 
-    told: see Told. state: the array that has the state for it, which need not be told.state.
+    given: see InputArrays. state: the array that has the state for it, which need not be inputs.state.
     """
 
     vehicle: Any
@@ -210,7 +210,7 @@ class InOperations:
 
     @property
     def running(self) -> Running:
-        """Its operations, made when they are first asked for in a flight."""
+        """Its calls, made when they are first asked for in a flight."""
         if self._running is None:
             self._running = Running(self)
         return self._running
@@ -224,39 +224,39 @@ class InOperations:
         return self.running.step(measurement, window)
 
 
-def in_operations(controller: Any) -> bool:
-    """Whether a controller says by `instant` what it does; its class may step in another way than its parent, and then
-    has to say what its own instant is."""
-    if not isinstance(controller, InOperations) or not hasattr(controller, "instant"):
+def in_calls(controller: Any) -> bool:
+    """Whether a controller says by `control_step` what it does; its class may step in another way than its parent, and
+    then has to say what its own instant is."""
+    if not isinstance(controller, InCalls) or not hasattr(controller, "control_step"):
         return False
-    steps, knows = (next(c for c in type(controller).__mro__ if name in vars(c)) for name in ("step", "instant"))
+    steps, knows = (next(c for c in type(controller).__mro__ if name in vars(c)) for name in ("step", "control_step"))
     return issubclass(knows, steps)
 
 
-def instant_of(controller: Any, told: Told, state: np.ndarray) -> Instant:
-    """The instant of a controller; one operation in Python where it does not say what it does."""
-    return controller.instant(told, state) if in_operations(controller) else _stepped(controller, told, state)
+def control_step_of(controller: Any, inputs: InputArrays, state: np.ndarray) -> ControlStep:
+    """The instant of a controller; one call in Python where it does not say what it does."""
+    return controller.control_step(inputs, state) if in_calls(controller) else _stepped(controller, inputs, state)
 
 
 def stepped(controller: Controller, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
     """The step of a controller. One in Python may give its thrusts alone: FAILED where they are not finite."""
-    began, made = time.perf_counter(), controller.step(measurement, window)
-    if isinstance(made, tuple):
-        return made
-    u, vehicle = np.asarray(made, float), controller.vehicle
+    began, result = time.perf_counter(), controller.step(measurement, window)
+    if isinstance(result, tuple):
+        return result
+    u, vehicle = np.asarray(result, float), controller.vehicle
     limited = int(((u <= vehicle.thrust_min) | (u >= vehicle.thrust_max)).sum())
-    status = Status.RICCATI if np.isfinite(u).all() else Status.FAILED
+    status = Status.OK if np.isfinite(u).all() else Status.FAILED
     return u, StepRecord(time.perf_counter() - began, status, 0, limited, 0.0)
 
 
-def _stepped(controller: Controller, told: Told, state: np.ndarray) -> Instant:
-    """A controller whose step is Python, as one operation."""
+def _stepped(controller: Controller, inputs: InputArrays, state: np.ndarray) -> ControlStep:
+    """A controller whose step is Python, as one call."""
     command, records = np.zeros(controller.vehicle.n_rotors), list[StepRecord]()
 
     def step() -> None:
-        force = told.force.copy() if told.read[0] else None
-        speed = told.speed.copy() if told.turning[0] else None
-        command[...], record = stepped(controller, Measurement(told.t, state.copy(), force, speed), told.window)
+        force = inputs.specific_force.copy() if inputs.accelerometer_valid[0] else None
+        speed = inputs.rotor_speed.copy() if inputs.rotor_speed_valid[0] else None
+        command[...], record = stepped(controller, Measurement(inputs.t, state.copy(), force, speed), inputs.window)
         records[:] = [record]
 
-    return Instant([python(step)], command, lambda took: records[0])
+    return ControlStep([python(step)], command, lambda took: records[0])

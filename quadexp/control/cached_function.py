@@ -10,25 +10,25 @@ from quadexp.compile.symbolic import ca
 
 MOST = 256  # functions that are kept
 
-_built: dict[tuple[Hashable, ...], Any] = {}
+_functions: dict[tuple[Hashable, ...], Any] = {}
 
 
-def built(backend: str, make: Callable[..., Any], *arguments: Any, **form: Any) -> Any:
+def cached_function(backend: str, make: Callable[..., Any], *arguments: Any, **form: Any) -> Any:
     """What make(*arguments, **form) gives, on a back end where it is a function or a list of functions.
 
     Vehicles count by their numbers, residuals and functions by their structure: parameters may be others.
     """
     key = (make, backend, *map(_structure, arguments), *form.items())
-    functions = _built.get(key)
+    functions = _functions.get(key)
     if functions is None:
         functions = make(*arguments, **form)
         if isinstance(functions, (list, tuple)):
             functions = realise_together(functions, resolve(backend))
         elif isinstance(functions, ca.Function):
             functions = realise(functions, resolve(backend))
-        for oldest in list(_built)[: len(_built) + 1 - MOST]:  # another thread may have gone before
-            _built.pop(oldest, None)
-        _built[key] = functions
+        for oldest in list(_functions)[: len(_functions) + 1 - MOST]:  # another thread may have gone before
+            _functions.pop(oldest, None)
+        _functions[key] = functions
     return functions
 
 

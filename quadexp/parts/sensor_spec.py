@@ -1,13 +1,16 @@
 """What the data sheets of a vehicle's sensors say: all that a controller may know of its sensors before a flight.
 
-Made by the world that is flown (`World.sheet`) and handed to controllers and remedies as `Given.sheet`. It says nothing
-of links, motors, air or load, and nothing of the delay of an estimator (estimator.delay), which no data sheet states.
+Made by the world that is flown (`World.sensor_spec`) and handed to controllers and remedies as
+`BuildContext.sensor_spec`. It says nothing of links, motors, air or load, and nothing of the delay of an estimator
+(estimator.delay), which no data sheet states.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+
+from quadexp.parts.former import names_of
 
 
 @dataclass(frozen=True)
@@ -16,7 +19,7 @@ class Stated:
 
     noise: standard deviation of the white noise of one reading, of the worst axis; of rotor speeds relative to them.
     drift: standard deviation of what is correlated in time: a bias as the flight begins, or a slow error.
-    rate: readings a second (Hz); 0: one at every control instant. delay: mean age (s) of a reading that is just told;
+    rate: readings a second (Hz); 0: one at every control instant. delay: mean age (s) of a reading that is just given;
     None: not stated. span: over which a reading is a mean (s), as of an IMU's increments; its driver knows that.
     """
 
@@ -31,7 +34,7 @@ class Stated:
         return period / math.ceil(period / self.span - 1e-9) if self.span else 0.0
 
     def scaled(self, factor: float) -> Stated:
-        """The sheet of somebody who is wrong by a factor in noise, drift and delay."""
+        """The specification of somebody who is wrong by a factor in noise, drift and delay."""
         delay = None if self.delay is None else factor * self.delay
         return replace(self, noise=factor * self.noise, drift=factor * self.drift, delay=delay)
 
@@ -45,8 +48,8 @@ STATE_ALONE = Stated(delay=None)  # of a state that comes from nobody knows wher
 
 
 @dataclass(frozen=True)
-class SensorSheet:
-    """What is stated of each sensor; None: there is none. gyroscope: the body rates that are told in the state."""
+class SensorSpec:
+    """What is stated of each sensor; None: there is none. gyroscope: the body rates that are given in the state."""
 
     accelerometer: Stated | None = Stated()
     gyroscope: Stated | None = STATE_ALONE
@@ -56,10 +59,13 @@ class SensorSheet:
     attitude: Stated | None = STATE_ALONE
 
 
-def later_speeds(sheet: SensorSheet) -> float:
+def later_speeds(sheet: SensorSpec) -> float:
     """By how much rotor speeds are older than the body rates (s), as far as it is stated."""
     speeds, gyroscope = sheet.rotor_speed, sheet.gyroscope
     if speeds is None:
         return 0.0
     rates = 0.0 if gyroscope is None else gyroscope.delay or 0.0
     return max((speeds.delay or 0.0) - rates, 0.0)
+
+
+__getattr__ = names_of(__name__)

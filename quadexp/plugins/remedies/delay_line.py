@@ -1,4 +1,4 @@
-"""What was told some time ago: readings of one instant are compared, though one of the sensors is late.
+"""What was given some time ago: readings of one instant are compared, though one of the sensors is late.
 
 A value of t - a, linear between the control instants on either side, at t = k T:
 
@@ -13,17 +13,17 @@ import numpy as np
 
 from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
-from quadexp.control.built import built
-from quadexp.control.instant import Operation, call
+from quadexp.control.cached_function import cached_function
+from quadexp.control.control_step import Call, call
 from quadexp.physics.expression import named_function, named_symbols
 
 
 def kept_size(size: int, age: float, period: float) -> int:
-    """How many numbers `earlier` keeps of so many, that are told every period (s)."""
+    """How many numbers `earlier` keeps of so many, that are given every period (s)."""
     return size * (int(age / period + 1e-9) + 2)
 
 
-def earlier(values: Any, kept: Any, age: float, period: float) -> tuple[Any, Any]:
+def delayed(values: Any, kept: Any, age: float, period: float) -> tuple[Any, Any]:
     """The values of `age` (s) ago, and the next value of what is kept, the oldest first; symbols."""
     n, whole = values.numel(), int(age / period + 1e-9)
     kept = ca.vertcat(kept[n:], values)
@@ -31,29 +31,29 @@ def earlier(values: Any, kept: Any, age: float, period: float) -> tuple[Any, Any
     return share * kept[:n] + (1 - share) * kept[n : 2 * n], kept
 
 
-class Earlier:
+class DelayLine:
     """Numbers (n,) of `age` (s) ago, in `then`; `reset` begins a flight, `before` stands at every control instant.
 
-    oldest: those that were told before all that `then` is made of, (n,). memory: a part of the instant's.
+    oldest: those that were given before all that `then` is made of, (n,). memory: a part of the instant's.
     """
 
     def __init__(self, size: int, age: float, period: float, backend: str) -> None:
-        self._function = built(backend, earlier_function, size, age, period)
-        self.memory, self.then = Memory("Earlier", sizes_of([self._function])), np.zeros(size)
+        self._function = cached_function(backend, delay_line_function, size, age, period)
+        self.memory, self.output = Memory("DelayLine", sizes_of([self._function])), np.zeros(size)
         self.oldest = self.memory.of_next["kept"].reshape(-1, size)[0 if age else -1]
 
     def reset(self, values: np.ndarray) -> None:
         """These values, (n,), have been there for long."""
         self.memory.begin({"kept": np.tile(values, self.memory.now.size // len(values))})
-        self.then[...] = values
+        self.output[...] = values
 
-    def before(self, values: np.ndarray) -> list[Operation]:
+    def before(self, values: np.ndarray) -> list[Call]:
         """Takes the values that are found there, (n,), and leaves `then`."""
-        return [call(connected(self._function, {"values": values}, {"then": self.then}, self.memory))]
+        return [call(connected(self._function, {"values": values}, {"output": self.output}, self.memory))]
 
 
-def earlier_function(size: int, age: float, period: float) -> ca.Function:
+def delay_line_function(size: int, age: float, period: float) -> ca.Function:
     """`earlier` as a function: values -> then; kept is remembered."""
     a = named_symbols(ca.SX, {"values": size, f"{NOW}kept": kept_size(size, age, period)})
-    then, kept = earlier(a["values"], a[f"{NOW}kept"], age, period)
-    return named_function("earlier", a, {"then": then, f"{NEXT}kept": kept})
+    output, kept = delayed(a["values"], a[f"{NOW}kept"], age, period)
+    return named_function("earlier", a, {"output": output, f"{NEXT}kept": kept})
