@@ -26,7 +26,7 @@ from quadexp.parts.part import TARGET, part_class
 from quadexp.parts.reads import is_read, refuse_idle, refuse_unread, refuse_without_effect
 from quadexp.parts.schema import BUNDLES, CHOSEN, CLASSES, PRESETS, WORLD, Config, world_name
 from quadexp.parts.settings import declared, made, plain
-from quadexp.parts.timing import told
+from quadexp.parts.timing import with_timing
 from quadexp.parts.user_modules import import_from, own_folders
 
 KEPT = 50_000  # made nodes that are remembered at most
@@ -191,7 +191,9 @@ class Composer:
             refuse_idle(config, override.key, override.text)
         if tree["timing"].source != ("timing=none",) or any(override.node == "timing" for override in values):
             motors = [option for option in tree["controller"].source if option.startswith("motor=")]
-            config = told(config, {override.key for override in values}, motors[-1].partition("=")[2] if motors else "")
+            config = with_timing(
+                config, {override.key for override in values}, motors[-1].partition("=")[2] if motors else ""
+            )
         config = replace(config, world=self._world_name(config, chosen, values))
         if not is_name(config.world):
             raise UsageError(f"world={config.world!r}: its name must be one printable line")

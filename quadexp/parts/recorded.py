@@ -16,7 +16,7 @@ from quadexp.parts.override import in_grammar
 from quadexp.parts.part import Part
 from quadexp.parts.schema import BUNDLES, PARTS, PRESETS
 from quadexp.parts.settings import declared, flat, plain
-from quadexp.parts.timing import TIMES, told_keys
+from quadexp.parts.timing import TIMES, timed_keys
 from quadexp.parts.user_modules import OWN
 
 
@@ -39,7 +39,7 @@ def recorded_words(
             options |= dict.fromkeys(flat({PRESETS[preset]: composer.option(preset, name).values}), "")
     for name in TIMES:
         if f"timing.{name}" in options:  # it counts for what was recorded of each part
-            options |= dict.fromkeys(told_keys(name), "")
+            options |= dict.fromkeys(timed_keys(name), "")
     words: list[str] = []
     for key, value in now(dict(record)).items():
         if key in options or value is None:

@@ -19,7 +19,7 @@ from quadexp.parts.part import Part
 from quadexp.parts.schema import Config
 from quadexp.parts.settings import declared, key, keyed
 
-PARTS = ("controller", "observer", "adaptive", "inner", "delay")  # that may be given, the controller first
+PARTS = ("controller", "observer", "adaptive", "rate_loop", "delay")  # that may be given, the controller first
 TIMES = ("age", "dead_time", "motor_lag")
 
 
@@ -36,13 +36,13 @@ class Timing(Part):
     )
 
 
-def told_keys(name: str) -> list[str]:
+def timed_keys(name: str) -> list[str]:
     """The keys of parts that a key of `timing` may set."""
     keys = {"age": ("time",), "motor_lag": ("motor_lag", "motor_lead")}.get(name, (name,))
     return [f"{group}.{own}" for group in PARTS for own in keys]
 
 
-def told(config: Config, given: Collection[str], motor: str) -> Config:
+def with_timing(config: Config, given: Collection[str], motor: str) -> Config:
     """The configuration with its parts given what `timing` holds.
 
     given: keys that were set by themselves. motor: the option of the group of this name.

@@ -58,7 +58,7 @@ def test_a_perfect_model_of_a_crazyflie_flies_it_within_a_millimetre(world):
 def test_faster_motors_need_no_word_at_the_published_horizon_but_at_a_stiffer_one():
     """62 ms: less than the published grid tolerates, more than the precise one."""
     mean_error(*BRUSHLESS)
-    with pytest.raises(UsageError, match=r"or controller\.rate=100 controller\.horizon=0\0.6;"):
+    with pytest.raises(UsageError, match=r"or controller\.rate=100 controller\.horizon=0\.6;"):
         fly_one(compose([*BRUSHLESS, "horizon=precise"]))
     mean_error(*BRUSHLESS, "horizon=precise", "controller.rate=100")
 

@@ -81,7 +81,7 @@ def identify_delays(
 
 
 def _of_simulated(flight: Flight, name: str, vehicle: Vehicle) -> tuple[Search, Delays]:
-    search = Search(Moments(told(flight, name), vehicle))
+    search = Search(Moments(corrected_stream(flight, name), vehicle))
     delays = search.find()
     if delays.commands_known or not delays.age_known:
         return search, delays
@@ -105,7 +105,7 @@ def timing_by_accelerometer(flights: Sequence[Flight], vehicle: Vehicle, *, of_e
     known = []
     for flight in flights[:MOST_SEARCHED]:
         try:
-            delays = Search(Moments(told(flight, ""), vehicle)).find()
+            delays = Search(Moments(corrected_stream(flight, ""), vehicle)).find()
         except DataError:
             continue
         if delays.commands_known and delays.age_known:
@@ -162,7 +162,9 @@ def _evenly(flight: Flight, name: str) -> Stream:
     """The longest stretch of a log without a gap."""
     breaks = np.flatnonzero(np.diff(flight.t) > 1.5 * np.median(np.diff(flight.t))) + 1
     rows = max(np.split(np.arange(len(flight)), breaks), key=len)
-    return told(Flight({key: values[rows] for key, values in flight.columns.items()}, flight.metadata), name)
+    return corrected_stream(
+        Flight({key: values[rows] for key, values in flight.columns.items()}, flight.metadata), name
+    )
 
 
 def _draw(search: Search, delays: Delays, path: Path) -> None:
@@ -197,7 +199,7 @@ def _near(candidates: np.ndarray, likelihood: np.ndarray) -> np.ndarray:
     return np.linspace(*ends, len(candidates))
 
 
-def told(flight: Flight, name: str) -> Stream:
+def corrected_stream(flight: Flight, name: str) -> Stream:
     """What the controller of a flight was given and has sent. Raises DataError where the flight does not say."""
     t = np.asarray(flight.t, float)
     period = np.diff(t)

@@ -15,7 +15,7 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from quadexp.models.dataset import transitions
 from quadexp.parts.compose import compose
-from quadexp.plugins.identification.delays import _of_simulated, identify_delays, overrides, sum_known, told
+from quadexp.plugins.identification.delays import _of_simulated, identify_delays, overrides, sum_known, corrected_stream
 from quadexp.plugins.identification.moments import Moments, Stream
 from quadexp.plugins.identification.rotor_thrust import fit_timing
 from quadexp.plugins.identification.timing import Search
@@ -27,7 +27,7 @@ NOISY = ["controller=nominal_mpc", "world=everything", "trajectory=lemniscate", 
 
 def found(overrides_given):
     config = compose(overrides_given)
-    return Search(Moments(told(fly_one(config), "a flight"), build_vehicle(config.vehicle))).find()
+    return Search(Moments(corrected_stream(fly_one(config), "a flight"), build_vehicle(config.vehicle))).find()
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_a_quiet_flight_does_not_tell():
 def test_uneven_samples_are_refused():
     t = np.array([0.0, 0.02, 0.05])
     with pytest.raises(DataError, match="evenly spaced"):
-        told(Flight({"t": t}, {}), "a flight")
+        corrected_stream(Flight({"t": t}, {}), "a flight")
 
 
 @pytest.mark.parametrize(("without", "said"), [("u_", "commands of the rotors"), ("acc_", "accelerometer, and acc_x")])
@@ -70,7 +70,7 @@ def test_a_log_without_commands_or_accelerometer_is_refused(without, said):
     flight = fly_one(compose(["controller=nominal_mpc", "trajectory=hover", "trajectory.duration=1"]))
     columns = {name: values for name, values in flight.columns.items() if not name.startswith(without)}
     with pytest.raises(DataError, match=f"log: delays are found from the {said}"):
-        told(Flight(columns, flight.metadata), "log")
+        corrected_stream(Flight(columns, flight.metadata), "log")
 
 
 def test_a_log_tells_by_commands_of_any_unit_and_by_the_speeds_of_its_rotors(tmp_path):
@@ -126,7 +126,7 @@ def test_data_set_and_delays_agree():
 def test_too_few_samples_are_refused():
     flight = fly_one(compose(["controller=nominal_mpc", "trajectory=hover", "trajectory.duration=1"]))
     with pytest.raises(DataError, match=r"delays cannot be found in 51 samples, 100 are needed"):
-        Moments(told(flight, "short"), build_vehicle(compose([]).vehicle))
+        Moments(corrected_stream(flight, "short"), build_vehicle(compose([]).vehicle))
 
 
 def test_the_command_prints_what_to_set(tmp_path):

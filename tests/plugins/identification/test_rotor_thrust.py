@@ -167,7 +167,7 @@ def fitted(vehicle, effects, **options):
 
 def test_flights_that_are_too_short_to_tell_are_refused_in_one_line(vehicle):
     """numpy said that there is no array to concatenate."""
-    with pytest.raises(DataError, match=r"longer than 0\0.3 s.*collect\.thrust=commanded"):
+    with pytest.raises(DataError, match=r"longer than 0\.3 s.*collect\.thrust=commanded"):
         fitted(vehicle, [Latency()], seconds=0.2)
 
 

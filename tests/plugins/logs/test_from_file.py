@@ -251,5 +251,5 @@ def test_degrees_of_a_heading_are_recognised(written, name, heading):
 
 
 def test_a_heading_that_says_no_unit_is_refused(written):
-    with pytest.raises(DataError, match=r"yaw reaches 90, 14\0.3 turns in rad: name the column yaw_deg"):
+    with pytest.raises(DataError, match=r"yaw reaches 90, 14\.3 turns in rad: name the column yaw_deg"):
         heading_track(written, "yaw", lambda a: 90 * np.cos(5 * a), lambda t: 0.2 * t)

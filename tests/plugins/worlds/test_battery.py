@@ -106,7 +106,7 @@ def test_an_empty_battery_ends_the_flight(vehicle, kind):
 
 def test_a_voltage_below_the_cutoff_ends_the_flight(vehicle):
     world = World(ideal(vehicle), [Battery(cutoff_voltage=3.5, compensation=True)])
-    with pytest.raises(ModelDomainError, match=r"below battery\.cutoff_voltage=3\0.5 V per cell, at \d+ A"):
+    with pytest.raises(ModelDomainError, match=r"below battery\.cutoff_voltage=3\.5 V per cell, at \d+ A"):
         drained(world, np.tile(np.full(vehicle.n_rotors, 0.9 * vehicle.thrust_max), (5, 1)))
     with pytest.raises(UsageError, match="hovering takes 155 W"):
         drained(World(ideal(vehicle), [Battery(resistance=0.5)]), np.zeros((1, 4)))
