@@ -15,7 +15,7 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from quadexp.models.dataset import transitions
 from quadexp.parts.compose import compose
-from quadexp.plugins.identification.delays import _of_simulated, identify_delays, overrides, sum_known, corrected_stream
+from quadexp.plugins.identification.delays import _of_simulated, corrected_stream, identify_delays, overrides, sum_known
 from quadexp.plugins.identification.moments import Moments, Stream
 from quadexp.plugins.identification.rotor_thrust import fit_timing
 from quadexp.plugins.identification.timing import Search
