@@ -97,6 +97,7 @@ class TestLearnedModel:
             assert code == 0, error
             flown[controller] = json.loads(out)
             assert flown[controller]["residual"]["name"] == "lateral"
+        code, out, _ = run("simulate", "controller=nominal_mpc", *own, "--out", tmp_path / "none.parquet", "--json")
         assert flown["nominal_mpc"]["mean_error"] < 0.6 * json.loads(out)["mean_error"]
         fitted = (
             "fit",

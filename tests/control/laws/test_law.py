@@ -108,7 +108,7 @@ def test_equations_that_do_not_give_what_they_must_are_refused_in_one_line(vehic
         memory = {"integral": 3}
 
         def equations(self, vehicle, inputs, memory):
-            return inputs.rotor_speed if given is None else given
+            return inputs.speed if given is None else given
 
     with pytest.raises(UsageError, match=message):
         Wrong(backend="interpreted").controller(vehicle)

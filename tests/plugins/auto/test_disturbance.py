@@ -102,7 +102,7 @@ def test_a_noise_of_thrust_grows_with_the_thrust(vehicle, rng):
     watched = Watched(vehicle)
     thrust = 2.3
     for name in ("thrust", "mean"):
-        watched.told[name][:] = thrust * vehicle.hover_thrust
+        watched.inputs[name][:] = thrust * vehicle.hover_thrust
     for _ in range(400):
         off = 0.03 * thrust * rng.normal() * vehicle.gravity
         watched.step(np.array([0.0, 0.0, (thrust - 1) * vehicle.gravity + off]))
@@ -115,7 +115,7 @@ def test_a_torque_needs_age_and_delays_that_are_told_apart(vehicle):
         watched = Watched(vehicle)
         watched.about["apart"][0] = apart
         for k in range(60):
-            watched.told["x"][RATE] = 0.02 * k, 0.0, 0.0  # 1 rad/s^2 that no command asks for
+            watched.inputs["x"][RATE] = 0.02 * k, 0.0, 0.0  # 1 rad/s^2 that no command asks for
             watched.step(np.zeros(3))
         assert bool(watched.filter.acts[2]) == found
 
