@@ -75,6 +75,6 @@ class SensorKeys(Settings):
     pose_drop: float = key(0.0, DROP)
     battery_noise: float = key(0.0, "standard deviation of the white noise on the voltage", "[0, 10]", "V")
     battery_step: float = key(0.0, "smallest difference of the voltage that is given; 0: any", "[0, 1]", "V")
-    spec_factor: float = key(
+    sheet_factor: float = key(
         1.0, "by which the noise, drift and delay that controllers are given the sensors are wrong", "[0.01, 100]"
     )

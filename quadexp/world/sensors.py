@@ -212,7 +212,7 @@ class Sensors(SensorKeys, Effect):
             ages["attitude"] = None if self.later else 0.0
         channels = self.channels(vehicle.n_rotors)
         changed: dict[str, Stated | None] = {
-            name: Stated(float(channel.noise.max()), channel.first, channel.rate, ages[name]).scaled(self.spec_factor)
+            name: Stated(float(channel.noise.max()), channel.first, channel.rate, ages[name]).scaled(self.sheet_factor)
             for name, channel in channels.items()
             if name in ages
         }

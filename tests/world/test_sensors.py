@@ -386,4 +386,4 @@ def test_records_of_earlier_versions_are_those_of_today():
     changed = compose(["sensor.gyroscope_noise=0.1"]).sensor.recorded()
     assert changed["gyroscope_noise"] == 0.1 and len(changed) == 4
     assert compose(["sensor=lei_li"]).world == "clean" and compose(["sensor=low"]).world == "sensor=low"
-    assert replace(compose([]).sensor, spec_factor=2.0).idle
+    assert replace(compose([]).sensor, sheet_factor=2.0).idle

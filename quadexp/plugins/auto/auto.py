@@ -99,7 +99,7 @@ class Auto(WrappedController):
         self._search = Search(self._bank, wrapped.backend, {name: now[name] for name in flags}, now["against"])
         # By which age and delays cannot be distinguished: by readings that are old, or as old as nobody says, as far as
         # a data sheet may be wrong; and within a period of the bank a faster law answers to noise.
-        apart = BANK.spec_factor / INTERVAL.band * max(force.delay or 0.0, turn.delay or 0.0)
+        apart = BANK.sheet_factor / INTERVAL.band * max(force.delay or 0.0, turn.delay or 0.0)
         apart += self._bank.period - period + max(period - INTERVAL.longest_period, 0.0)
         unsaid = turn.delay is None and bool(attitude.delay)
         lately = commands.values[-max(2, round(DECISION.saturation_memory / period)) :].reshape(-1)

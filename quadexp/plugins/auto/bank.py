@@ -237,7 +237,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     measured = (-ca.dot(change, kept["change"]) / 2, ca.sum1(products[:3]) / 3, ca.sum1(products[3:]) / 3)
     share = ca.fmax(1 / (count + 5), period / BANK.noise_memory) * (count > 2) * ca.vertcat(read, 1, 1)
     noise = kept["noise"] + share * (ca.vertcat(*measured) - kept["noise"])
-    within = [(a["stated"] * BANK.spec_factor**sign) ** 2 for sign in (-1, 1)]
+    within = [(a["stated"] * BANK.sheet_factor**sign) ** 2 for sign in (-1, 1)]
     lateral = ca.fmin(ca.fmax(noise[0], within[0]), within[1])
 
     now = {

@@ -157,7 +157,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     least = (max(known.random_walk[FORCE]) / fastest) ** 2 / period
     variance = ca.fmax(ca.vertcat(across, across, across + along), least * ca.DM([not known.has_drag] * 2 + [1]))
     N = ca.diag(variance)
-    doubted = s.spec_factor**2 * across
+    doubted = s.sheet_factor**2 * across
     doubt = ca.diag(ca.vertcat(doubted, doubted, doubted + along))
 
     along_body = ca.DM.eye(3) if known.has_drag else R.T  # what a wind leaves is of the thrust
@@ -222,7 +222,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
         predicted = kept["rates"][3 * i : 3 * i + 3] + period * (acting + torque)
         rates.append(predicted + of_rate * (rate - predicted))
         torques.append(torque + of_torque * (rate - predicted))
-        spins.append(-ca.sumsqr((rate - predicted)[:2] / (s.spec_factor * s.rate_noise)) / 2)
+        spins.append(-ca.sumsqr((rate - predicted)[:2] / (s.sheet_factor * s.rate_noise)) / 2)
     torque_evidence = _summed(kept["torque_evidence"], fading, spins)
 
     # what is assumed

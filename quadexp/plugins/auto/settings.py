@@ -33,7 +33,7 @@ class BankSettings:
     least_turn: float = 3e-4  # rad/s, of a gyroscope against the model
     least_attitude: float = 1e-5  # rad, of an estimated attitude
     least_reading: float = 0.02  # m/s^2, of an accelerometer
-    spec_factor: float = 3.0  # by which a data sheet may be wrong: what users state differs by that much
+    sheet_factor: float = 3.0  # by which a data sheet may be wrong: what users state differs by that much
     noise_memory: float = 5.0  # s, of measured noises
     measured_after: float = 0.5  # s, from which on a measured noise counts: 50 readings
     forgetting: float = 20.0  # s, of all moments: the thrust scale moves with the battery
@@ -89,7 +89,7 @@ class DisturbanceSettings:
     most_force_bandwidth: float = 40.0  # rad/s: the accelerometer's reading has the own thrust in it, a loop
     noise_memory: float = 2.0  # s, of the mean squared innovations
     torque_bandwidths: tuple[float, ...] = (3.0, 15.0)  # rad/s, below that of the attitude loop
-    spec_factor: float = 3.0  # by which a stated noise may be wrong
+    sheet_factor: float = 3.0  # by which a stated noise may be wrong
     rate_noise: float = 1e-3  # rad/s, least of the gyroscope against the model
     evidence_on: float = 8.0  # log likelihood ratio from which a disturbance acts: very strong (Kass & Raftery 1995)
     unknown_timing: float = 0.03  # s, most that the uncertainty of a delay counts for the noise of the thrust
