@@ -148,7 +148,7 @@ def test_the_controller_steps_at_its_own_rate(vehicle):
     for k in range(7):
         u, _ = loop.step(Measurement(k / 300, x, None, None), w)
         assert u == pytest.approx(hover, rel=1e-9)  # nothing is disturbed, so nothing is changed
-    assert len(held.told) == 3 and loop.control_period == pytest.approx(1 / 300)
+    assert len(held.inputs) == 3 and loop.control_period == pytest.approx(1 / 300)
 
 
 def test_a_controller_that_asks_for_no_reference_begins_in_hover(vehicle):

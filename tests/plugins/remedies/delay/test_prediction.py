@@ -59,7 +59,7 @@ def test_mean_thrusts_are_those_of_the_commands(dead_time, lag):
             assert mean[i] == pytest.approx(true, abs=2e-6)
 
 
-class InputArrays(WrappedController):
+class Recording(WrappedController):
     """Keeps what it is given, sends what it is given, and believes something."""
 
     def __init__(self, inner, commands, belief=None):
@@ -91,7 +91,7 @@ def test_the_state_of_now_is_found(request, which, belief, delay, dead_time, lag
     model, (theta, n) = corrected_function(vehicle, residual), (residual.theta, vehicle.n_rotors)
     rng = np.random.default_rng(4)
     commands = vehicle.hover_thrust * (1 + 0.1 * rng.standard_normal((12, n)))
-    told = InputArrays(made(vehicle, residual), commands, belief)
+    told = Recording(made(vehicle, residual), commands, belief)
     wrapped = Prediction(time=delay, dead_time=dead_time, motor_lag=lag).around(told)
     world = belief or Belief(np.zeros(3), np.zeros(3), np.zeros(3))
 
@@ -156,7 +156,7 @@ def test_another_controller_is_told_when_its_command_will_act(vehicle, age):
     wrapped.reset(x, window)
     for k in range(10):
         wrapped.step(Measurement(k * PERIOD, states[max(20 * k - round(1e3 * age), 0)], None, None), window)
-    for k, (told, reference) in enumerate(plain.told):
+    for k, (told, reference) in enumerate(plain.inputs):
         assert np.abs(told - states[20 * k + 35])[:10].max() < 2e-3 and np.abs(told - states[20 * k])[:3].max() > 1e-2
         expected = sum(jets[i] * dead_time**i / math.factorial(i) for i in range(5))
         assert np.allclose(reference.position[0], expected, atol=1e-12)
