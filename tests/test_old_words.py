@@ -9,7 +9,7 @@ from tests.house import PACKAGE, ROOT
 OLD = {
     "Told", "Instant", "Operation", "InOperations", "Given", "SensorSheet", "sensor_sheet", "Senses", "Earlier",
     "GPModel",
-    "Remedy", "RICCATI", "of_course", "refuse_mistakes", "doing", "in_operations", "instant_of",
+    "Remedy", "of_course", "refuse_mistakes", "doing", "in_operations", "instant_of",
 }  # fmt: skip
 
 

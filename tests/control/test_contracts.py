@@ -81,7 +81,7 @@ class Flown:
         self.reading = None
         self.controller.reset(self.x, self.reference.window(0))
 
-    def told(self) -> Measurement:
+    def inputs(self) -> Measurement:
         return Measurement(self.k * self.controller.control_period, self.x.copy(), self.reading, None)
 
     def go_on(self, periods: int) -> np.ndarray:
@@ -103,10 +103,10 @@ class TestEach:
         flown.go_on(12)
         running = flown.controller.running
         kept = [memory.now.copy() for memory in running.control_step.memory]
-        told = [(flown.told(), flown.reference.window(flown.k))]
+        told = [(flown.inputs(), flown.reference.window(flown.k))]
         first = [flown.go_on(1)[0]]
         for _ in range(7):
-            told.append((flown.told(), flown.reference.window(flown.k)))
+            told.append((flown.inputs(), flown.reference.window(flown.k)))
             first.append(flown.go_on(1)[0])
         for memory, values in zip(running.control_step.memory, kept, strict=True):
             memory.restore(values)

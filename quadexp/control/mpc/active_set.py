@@ -36,6 +36,7 @@ class Status(IntEnum):
     """How a subproblem was solved."""
 
     OK = 0  # no bound active
+    RICCATI = 0  # its name for one release more, in controllers of users
     ACTIVE_SET = 1
     FAILED = 3
 

@@ -94,7 +94,7 @@ def test_what_rotors_can_cancel_is_cancelled_and_what_they_cannot_is_only_estima
         assert logged[2] == pytest.approx(factor * force[2], rel=2e-3)
         assert logged[3:] == pytest.approx(factor * torque, abs=2e-4)
     force = np.array([1.5, -1.0, 0.0])
-    plain, _ = fly(Body(vehicle, lambda t: force), geometric(vehicle).inner, at_rest(), 6.0, lambda t: window)
+    plain, _ = fly(Body(vehicle, lambda t: force), geometric(vehicle).wrapped, at_rest(), 6.0, lambda t: window)
     states, _ = fly(Body(vehicle, lambda t: force), controller := geometric(vehicle), at_rest(), 6.0, lambda t: window)
     assert np.linalg.norm(states[-1, POSITION][:2]) == pytest.approx(np.linalg.norm(plain[-1, POSITION][:2]), rel=0.05)
     estimated = rotation(states[-1]).apply(estimate(controller)[:3])

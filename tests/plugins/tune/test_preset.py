@@ -7,6 +7,7 @@ import pytest
 from quadexp.errors import UsageError
 from quadexp.log.store import read_metadata, read_table
 from quadexp.parts.compose import compose, session
+from quadexp.parts.former import GROUPS
 from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import REMEDIES
 from quadexp.parts.settings import record
@@ -124,7 +125,15 @@ def test_what_is_called_as_a_shipped_option_comes_before_it(tmp_path):
 
 
 SHIPPED = [tuple(name.split("/")) for name in sorted(OptionFiles().entries) if name.endswith("_tuned")]
-PLACE = ("controller", "model", "vehicle", "plant", "sensor", *REMEDIES)  # Lei & Li's are tuned on their vehicle
+PLACE = (
+    "controller",
+    "model",
+    "vehicle",
+    "plant",
+    "sensor",
+    *GROUPS,
+    *REMEDIES,
+)  # Lei & Li's are tuned on their vehicle
 
 
 @pytest.mark.parametrize(("group", "option"), SHIPPED)
@@ -142,7 +151,7 @@ def test_shipped_tunings_come_from_the_history_beside_them(group, option):
         own = config
         parts = name.split(".")
         for part in parts if parts[-1] not in ("xy", "z") else parts[:-1]:
-            own = own[part] if isinstance(own, dict) else getattr(own, part)
+            own = own[part] if isinstance(own, dict) else getattr(own, GROUPS.get(part, part))
         at = 0 if parts[-1] == "xy" else next((i for i, x in enumerate(own) if x), 0) if isinstance(own, tuple) else 0
         at = 2 if parts[-1] == "z" else at
         assert (own[at] if isinstance(own, tuple) else own) == value
