@@ -85,7 +85,7 @@ def test_check_sees_another_command(folders: dict[str, Path], tmp_path: Path) ->
 def test_check_sees_another_controller(folders: dict[str, Path], tmp_path: Path) -> None:
     folder = copied(folders["observing"], tmp_path)
     text = (folder / "vehicle.c").read_text()
-    changed = text.replace("if (read) copy(l->force, force, 3);", "")  # an observer without its accelerometer
+    changed = text.replace("if (read) copy(l->specific_force, force, 3);", "")  # an observer without its accelerometer
     assert changed != text
     (folder / "vehicle.c").write_text(changed)
     done = run(folder)

@@ -207,7 +207,7 @@ def test_a_delay_only_delays(make):
     assert np.allclose(late.nominal[5:], prompt.nominal[:-5], rtol=0, atol=1e-13)
     assert np.allclose(late.covariance[5:], prompt.covariance[:-5], rtol=1e-12, atol=0)
     truth = states[10::10]
-    assert np.abs(late.told - truth)[50:, POSITION].max() < 10 * np.abs(prompt.told - truth)[50:, POSITION].max()
+    assert np.abs(late.inputs - truth)[50:, POSITION].max() < 10 * np.abs(prompt.inputs - truth)[50:, POSITION].max()
 
 
 @both_sensors
@@ -226,11 +226,11 @@ def test_without_noise_the_truth_is_told(make, rate, steps):
     states = motion(np.arange(100 * steps + 1) * 0.01 / steps, seed=7)
     run = AidedRun(make(**unit, **keys), steps=steps).go(states)
     truth = states[steps::steps]
-    e = errors(np.hstack([run.told[:, :10], np.zeros((100, 6))]), truth, np.zeros((100, 6)))
+    e = errors(np.hstack([run.inputs[:, :10], np.zeros((100, 6))]), truth, np.zeros((100, 6)))
     assert np.abs(e[:, :6]).max() < 5e-5 and np.abs(e[:, 6:]).max() < 1e-6
     last = steps - round(steps * (rate * 0.01 - 1) / (rate * 0.01))  # steps of the last reading's interval
     halfway = motion(np.arange(1, 101) * 0.01 - last * 0.005 / steps, seed=7)
-    assert np.abs(run.told[:, RATE] - halfway[:, RATE]).max() < 1e-4
+    assert np.abs(run.inputs[:, RATE] - halfway[:, RATE]).max() < 1e-4
 
 
 def test_at_first_the_errors_are_drawn_from_the_first_covariance():
@@ -276,7 +276,7 @@ def test_standing_is_what_the_filter_itself_makes_of_standing(make):
 def test_the_rates_told_are_without_the_gyroscopes_bias():
     run = AidedRun(ImuMocap(gyroscope_bias_std=0.05)).go(standing(np.arange(0, 3 + 1e-9, 1e-3)), seed=2)
     assert np.abs(run.bias[-1, 3:]).max() > 0.02
-    assert np.abs(run.told[200:, RATE].mean(0)).max() < 1e-3
+    assert np.abs(run.inputs[200:, RATE].mean(0)).max() < 1e-3
 
 
 def test_factors_scale_what_the_filter_believes_and_nothing_else():
