@@ -13,6 +13,7 @@ from tests.plugins.logs.importers import logs
 
 PAGE = ROOT / "docs" / "real_flights.md"
 DATA = ROOT.parent / "shared" / "data" / "nanobench"
+CRAZYFLIE = (0.00472, 0.0454)  # J / (4 m arm) and J_z / (4 m c) of conf/vehicle/crazyflie.yaml
 NAMES = ("B2_circle_fast_rep2", "B9_trefoil_fast_rep14", "B3_figure8_fast_rep1")
 
 
@@ -48,7 +49,7 @@ def test_on_logs_made_here(tmp_path, monkeypatch):
     """PX4 logs of a flight with known drag (0.4, 0.3, 0.1 1/s) under the names of the page."""
     (tmp_path / "logs").mkdir()
     for seed, name in enumerate(NAMES):
-        logs.ulog(tmp_path / "logs" / f"{name}.ulg", logs.truth(duration=20.0, seed=seed))
+        logs.ulog(tmp_path / "logs" / f"{name}.ulg", logs.truth(duration=20.0, seed=seed, turning=CRAZYFLIE))
     monkeypatch.chdir(tmp_path)
     swap = {f"logs/{name}.csv": f"logs/{name}.ulg" for name in NAMES} | {"px4": "sdf"}  # these logs have rotor speeds
     quick = {

@@ -321,7 +321,7 @@ SOURCES = {
     "report/metrics.py": "all",
     "reference/circle.py": "trajectory=circle",
     "plugins/worlds/dryden.py": "wind=dryden",
-    "control/laws/cascade.py": "controller=pid",
+    "plugins/laws/cascade.py": "controller=pid",
     "plugins/neural/neural.py": "controller=linear_drag_mpc",  # whose checkpoint says which model reads it
     "experiment/fit.py": "fitted",
     "report/style.py": "",

@@ -47,8 +47,10 @@ class Truth:
         return Rotation.from_quat(self.q, scalar_first=True)
 
 
-def truth(duration: float = 30.0, rate: float = 100.0, seed: int = 0) -> Truth:
-    """A flight of some 5 m/s; body rate and angular acceleration by differences on a grid ten times finer."""
+def truth(duration: float = 30.0, rate: float = 100.0, seed: int = 0, turning: tuple = (0.02, 0.05)) -> Truth:
+    """A flight of some 5 m/s; body rate and angular acceleration by differences on a grid ten times finer.
+
+    turning: what a rotor gives for an angular acceleration about x and y, and about z (m/s^2 of thrust a rad/s^2)."""
     rng = np.random.default_rng(seed)
     fine = 10
     t = np.arange(int(duration * rate) * fine + 1) / (rate * fine)
@@ -65,8 +67,8 @@ def truth(duration: float = 30.0, rate: float = 100.0, seed: int = 0) -> Truth:
     torque = np.gradient(w, t, axis=0)
     thrust = force[:, 2] + DRAG[2] * body[:, 2]
     x, y, spin = ROTORS.T
-    mixed = thrust[:, None] / 4 + 0.02 * (np.outer(torque[:, 0], y) - np.outer(torque[:, 1], x))
-    mixed += 0.05 * np.outer(torque[:, 2], spin)
+    mixed = thrust[:, None] / 4 + turning[0] * (np.outer(torque[:, 0], y) - np.outer(torque[:, 1], x))
+    mixed += turning[1] * np.outer(torque[:, 2], spin)
     command = np.sqrt(np.clip(mixed, 0.01, None) / 6.0)
     q = R.as_quat(scalar_first=True)
     q *= np.cumprod(np.concatenate([[1.0], np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)]))[:, None]
