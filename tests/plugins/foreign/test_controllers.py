@@ -107,7 +107,7 @@ def test_a_missing_package_is_said_in_one_line(monkeypatch, controller, module):
 
     monkeypatch.setitem(sys.modules, module, None)
     laws.policy.cache_clear()
-    monkeypatch.setattr("quadexp.control.cached_function._built", {})
+    monkeypatch.setattr("quadexp.control.cached_function._functions", {})
     with pytest.raises(UsageError, match=rf'controller={controller}: needs the package .*pip install "quadexp'):
         fly_one(compose([f"controller={controller}", "vehicle=blackbird", "seed=7", "controller.rate=77"]))
 
