@@ -15,6 +15,7 @@ from tests.test_layout import PACKAGE, ROOT, imports, modules
 IMPORTS = imports()
 # Modules that import others by names that are put together, and what follows them instead.
 BY_NAME = {
+    "quadexp.parts.former": "a module by the name that it had: where it is now is followed like any other",
     "quadexp.models.base": "the kind that a checkpoint names: identity counts all models where one is read",
     "quadexp.parts.user_modules": "a user's own: identity follows them",
 }

@@ -260,13 +260,13 @@ class TestAlternatives:
     def test_each_brings_its_own_settings(self):
         given = "controller=nominal_mpc,dfbc rate_loop=indi rate_loop.cutoff=8,pid adaptive=l1"
         cells = [cell.config for cell in expand([given, "trajectory.speed=4,8"])]
-        found = {(c.controller.name, c.inner.name, c.adaptive.name, c.trajectory.speed) for c in cells}
+        found = {(c.controller.name, c.rate_loop.name, c.adaptive.name, c.trajectory.speed) for c in cells}
         assert len(cells) == 6 and found == {
             (*names, speed)
             for names in (("nominal_mpc", "none", "none"), ("dfbc", "indi", "none"), ("pid", "none", "l1"))
             for speed in (4.0, 8.0)
         }
-        assert {c.inner.cutoff for c in cells if c.inner.name == "indi"} == {8.0}
+        assert {c.rate_loop.cutoff for c in cells if c.rate_loop.name == "indi"} == {8.0}
 
     def test_of_an_experiment_too(self):
         cells = [cell.config for cell in expand(["experiment=quick", "controller=pid,dfbc rate_loop=indi"])]
@@ -277,7 +277,7 @@ class TestAlternatives:
         [
             ("controller=pid,dfb rate_loop=indi", "controller=dfb: no such controller; did you mean dfbc"),
             ("controller=pid,dfbc iner=indi", "iner: no such key"),
-            ("controller=pid,dfbc rate_loop=indy", "rate_loop=indy: no such inner"),
+            ("controller=pid,dfbc rate_loop=indy", "rate_loop=indy: no such rate_loop"),
             ("controller=pid,dfbc adaptive=l1", "adaptive is given beside it too"),
         ],
     )

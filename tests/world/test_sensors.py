@@ -305,7 +305,7 @@ def test_rotors_that_are_not_all_measured_are_told_to_nobody(vehicle):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (["sensor.rotor_speed_of=[4]", *TURNING], "sensor.rotor_speed_of=0.4.: vehicle=torrente has rotors 0 to 3"),
+        (["sensor.rotor_speed_of=[4]", *TURNING], "sensor.rotor_speed_of=.4.: vehicle=torrente has rotors 0 to 3"),
         (["sensor.accelerometer_vibration=[1,0,0]"], "sensor.accelerometer_vibration=.*: no speeds of rot"),
         (["sensor.battery_noise=0.1"], "sensor.battery_..: there is no battery here"),
         (["sensor.pose_rate=8000", "controller.rate=20"], "sensor.pose_rate=8000: 400 readings in a control period"),

@@ -154,7 +154,13 @@ def test_fewer_than_three_flights_are_for_these_only(flights):
     block = np.arange(len(flight)) // 20
     (row, _) = score_rows([Residuals("nominal", error, error, flight, block, np.zeros(len(flight)), None)])
     assert 0.9 * row["rms"] < row["rms_low"] < row["rms"] < row["rms_high"] < 1.1 * row["rms"]
-    report = {"rows": [row, {**row, "thrust_tracked": True}], "bands": [], "rollouts": [], "notes": []}
+    report = {
+        "rows": [row, {**row, "thrust_tracked": True}],
+        "bands": [],
+        "rollouts": [],
+        "notes": [],
+        "torque": {"note": ""},
+    }
     texts = [
         "\n".join(validation_lines({**report, "flights": "abc"[:n], "leave_one_out": False})) for n in (flights, 3)
     ]
