@@ -35,6 +35,7 @@ YES = np.ones(1)
 class Call(NamedTuple):
     """to, source, other: arrays; numbers as many as `to` has. factor: a number. function: that is called. act: what
     Python does. every: at which instants, one of so many. when: (1,), only where it is not 0; None: always.
+    decides: of settings from what was collected, which margins of a loop take as they are.
 
     call    function, on its arguments and results
     copy    to = source
@@ -60,6 +61,7 @@ class Call(NamedTuple):
     act: Callable[[], Any] | None = None
     every: int = 1
     when: np.ndarray | None = None
+    decides: bool = False
 
 
 def call(function: BufferedFunction, when: np.ndarray | None = None) -> Call:
@@ -138,7 +140,7 @@ def run(calls: Sequence[Call], k: int = 0, window: Any = None) -> None:
     """The calls of control instant k, as loop.c runs them; window: of the reference, a Window."""
     entry: Any
     for entry in calls:
-        kind, to, source, other, factor, function, act, every, when = entry
+        kind, to, source, other, factor, function, act, every, when, _ = entry
         if k % every or (when is not None and not when[0]):
             continue
         if kind == "copy" or kind == "commit":

@@ -152,7 +152,7 @@ class TestEach:
         columns = fly_one(config).columns
         for logged in owners:
             assert all(name in columns for names in logged.values() for name in names)
-        inside = layers(controller)[-1].inner if layers(controller) else controller
+        inside = layers(controller)[-1].wrapped if layers(controller) else controller
         if isinstance(inside, ExplicitController):
             assert inside.log().keys() <= columns.keys()
 

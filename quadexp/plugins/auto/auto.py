@@ -194,8 +194,9 @@ class Auto(WrappedController):
         memory = (*step.memory, self._strapdown.memory, self._filter.memory, self._commands.memory)
         memory = (*memory, self._bank.memory, self._bank.sums)
         if not self._judged:
-            after += [*self._search.calls(), call(self._decide), self._search.moved()]
-            after += self._retuned(self._decide.results["retunes"])
+            decided = [*self._search.calls(), call(self._decide), self._search.moved()]
+            decided += self._retuned(self._decide.results["retunes"])
+            after += [o._replace(decides=True) for o in decided]
             memory = (*memory, self._search.memory, self._memory, self._plan)
         return step._replace(calls=[*calls, *step.calls, *after], logged=logged, memory=memory)
 

@@ -124,7 +124,10 @@ class _Flown:
         """Of the next instants, until the loop is the same again; and where the memory and the readings begin."""
         running = self._controller.running
         calls = [o for o in running.control_step.calls if o.kind not in ("finite", "near")]  # which are C's
-        rare = [o.kind == "python" and (o.when is running.inputs.accelerometer_valid or o.every > 1) for o in calls]
+        rare = [
+            o.decides or o.kind == "python" and (o.when is running.inputs.accelerometer_valid or o.every > 1)
+            for o in calls
+        ]
         calls = [o for o, seldom in zip(calls, rare, strict=True) if not seldom]  # nothing is learned meanwhile
         calls = _on_the_way(calls, running.control_step)
         sensors = [part.tick for part in self._drawn if not isinstance(part, Held) and part.tick > TICK]

@@ -83,8 +83,9 @@ def folder(tmp_path_factory):
 
 def test_every_command_is_here_and_has_the_option():
     assert set(CALLS) == set(GROUP.commands) - {
-        "fly"
-    }  # which needs an autopilot: tests/plugins/vehicle/test_mavlink.py
+        "fly",
+        "reproduce",
+    }  # need an autopilot, and data: tests/plugins/vehicle, tests/plugins/public
 
     for name, command in GROUP.commands.items():
         options = {option for parameter in command.params for option in parameter.opts}

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from quadexp.experiment import evaluate
 from quadexp.experiment.evaluate import build_loop
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.parts.compose import compose
@@ -131,7 +130,7 @@ def test_what_is_not_between_command_and_command_is_no_part_of_the_loop():
 def flown(*words: str):
     """Plant and controller of a hover, whatever its loop is like."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(evaluate, "instability", lambda *_: "")
+        patch.setattr("quadexp.plugins.margins.loop_margins.instability", lambda *_: "")
         return build_loop(compose(["trajectory=hover", *words]), None)
 
 
