@@ -17,6 +17,7 @@ from tests.cli.command import run
 
 DURATION = 0.4  # s of a flight
 MOST = 4  # cells of an experiment
+LONG = ("sun_equal", "sun_ours")  # run by `make test-slow`; sun and sun_quick are of the same kind
 with session() as composer:
     EXPERIMENTS = composer.options("experiment")
 
@@ -85,7 +86,9 @@ def no_processes(run_sweep, *cells, **options):
     return run_sweep(*cells, **options | {"isolate": False})
 
 
-@pytest.mark.parametrize("experiment", EXPERIMENTS)
+@pytest.mark.parametrize(
+    "experiment", [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in EXPERIMENTS]
+)
 def test_every_experiment_ends_with_its_table_and_its_report(experiment, reduced):
     words = ["evaluate", "--sweep", f"experiment={experiment}", "--out", "r"]
     code, out, err = run(*words, "--json")

@@ -43,7 +43,9 @@ def test_hover_command_and_full_thrust_are_inside(first):
     assert any("thrusts are per kg" in line for line in number_lines(numbers, []))
 
 
-@pytest.mark.parametrize("exponent", [0.7, 1.0, 1.3])
+@pytest.mark.parametrize(
+    "exponent", [pytest.param(0.7, marks=pytest.mark.slow), pytest.param(1.0, marks=pytest.mark.slow), 1.3]
+)
 def test_the_battery(exponent):
     flights = [logged_flight(seed, exponent=exponent, seconds=60) for seed in range(3)]
     numbers = found_of(flights, voltage_exponent=None).report["numbers"]
@@ -80,6 +82,7 @@ def test_the_next_value_is_inside_in_95_of_100():
     assert next_flight([1.0]) is None and next_flight([1.0, 1.1]) is None
 
 
+@pytest.mark.slow
 def test_the_next_flight_is_inside():
     """Five flights whose drag and thrust scale differ, and a sixth: 4 groups, 3 numbers each."""
     hits = []
