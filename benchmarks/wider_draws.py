@@ -183,8 +183,8 @@ def missing_readings(share: float) -> Iterator[None]:
         return measurement._replace(specific_force=None) if rng.random() < share else measurement
 
     # The gate of every flight loses readings meanwhile, and no flight goes into C, which has a gate of its own.
-    ReadingGate.admit, rollout.covers = some, lambda *about: False  # type: ignore[method-assign]
+    ReadingGate.admit, rollout.covers = some, lambda *about: False  # type: ignore[method-assign]  # for a while
     try:
         yield
     finally:
-        ReadingGate.admit, rollout.covers = admit, covers  # type: ignore[method-assign]
+        ReadingGate.admit, rollout.covers = admit, covers  # type: ignore[method-assign]  # as it was

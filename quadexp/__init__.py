@@ -42,7 +42,7 @@ class _FormerModules:
         return import_module("quadexp.parts.former").find_spec(name)
 
 
-sys.meta_path.append(_FormerModules)  # type: ignore[arg-type]
+sys.meta_path.append(_FormerModules)  # type: ignore[arg-type]  # a class with `find_spec` is one
 
 
 def _places() -> dict[str, str]:
