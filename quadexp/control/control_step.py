@@ -3,7 +3,7 @@
 A controller of this program, and everything around it, says by `control_step(inputs)` what it does; what is around a
 controller asks the one inside, and adds its own calls before and behind. The same list on the same arrays is run
 by `run`, in Python, and by loop.c, so that either may take over from the other at any instant. What cannot
-be said in calls, such as a user's own controller, is an call of the kind `python`.
+be said in calls, such as a user's own controller, is a call of the kind `python`.
 
 Where an instant is out of the ordinary, C leaves it to Python from its beginning: memory (compile/memory.py) is as it
 was until all calls have succeeded, and what else goes on from instant to instant is written behind the command.

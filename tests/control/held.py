@@ -1,4 +1,4 @@
-"""A user's own controller: it commands what it is given, and keeps what it is given."""
+"""A user's own controller: it commands what it is given, and keeps every state and window of its steps."""
 
 from collections.abc import Iterator
 

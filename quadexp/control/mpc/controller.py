@@ -119,7 +119,7 @@ class PredictiveController(InCalls):
             inverted, command = self.lead.after(command, x[N_STATE:])
             calls += inverted
         if self.predictor is not None:
-            calls += self.predictor.after(command)  # in a assumed world: what is delivered of the command
+            calls += self.predictor.after(command)  # in an assumed world: what is delivered of the command
         if self.believed is not None:
             delivering, command = self.believed.after(command)
             calls += delivering

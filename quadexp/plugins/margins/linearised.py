@@ -242,7 +242,7 @@ class _Flown:
 
 
 def _touched(o: Call, targets: list[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """What an call reads and writes; one in Python may read all targets. Nothing of the MPC's step."""
+    """What a call reads and writes; one in Python may read all targets. Nothing of the MPC's step."""
     if o.function is not None:
         return [*o.function.arguments.values()], [*o.function.results.values()]
     if o.kind in ("plan", "python"):
@@ -289,7 +289,7 @@ class _Remembered:
         ]
 
     def reads(self, array: np.ndarray) -> bool:
-        """Whether an call reads the array."""
+        """Whether a call reads the array."""
         return bool(_places([array]) & self._read)
 
     @property

@@ -1,7 +1,7 @@
 """The arrays that a controller's calls work on, as places in three C arrays.
 
     numbers   what may be changed in flight: parameters of the model of the air, weights, limits, an observer's settings
-    ram       what an call writes
+    ram       what a call writes
     rom       all else
 
 Arrays of Python that overlap become one block, so that aliases stay aliases. A block keeps its bytes in the order of

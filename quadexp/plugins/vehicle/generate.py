@@ -145,14 +145,14 @@ def program(controller: Any, names: Names, start: tuple[ca.Function | None, list
 
 
 def is_read(array: np.ndarray, calls: Iterable[Call]) -> bool:
-    """Whether an call reads any of an array."""
+    """Whether a call reads any of an array."""
     first, end = span(array)
     read = [one for o in calls for one in (o.source, o.when, *(o.function.arguments.values() if o.function else ()))]
     return any(first <= one.ctypes.data < end for one in read if one is not None)
 
 
 def keeps_solution(mpc: Any, entry: Call) -> bool:
-    """Whether an call only keeps the MPC's solution, which C has in one place: Python can go back to it."""
+    """Whether a call only keeps the MPC's solution, which C has in one place: Python can go back to it."""
     solution = [mpc.step.arguments[name].ctypes.data for name in ("X", "U", "guess")]
     return entry.kind == "commit" and entry.source is not None and entry.source.ctypes.data in solution
 
@@ -394,7 +394,7 @@ def declared(names: Names, name: str) -> list[str]:
 
 
 def called_by(exported: Program, index: int, o: Call, functions: dict[int, tuple[str, ca.Function]]) -> list[str]:
-    """The function of an call with the places of its arguments and results; the generated one needs longer arrays
+    """The function of a call with the places of its arguments and results; the generated one needs longer arrays
     of pointers than these."""
     function: Any = o.function
     name, code = functions[id(function.function)]
@@ -410,7 +410,7 @@ def called_by(exported: Program, index: int, o: Call, functions: dict[int, tuple
 
 
 def row(exported: Program, index: int, o: Call) -> str:
-    """An call, as compiled_loop.py tells it to C."""
+    """A call, as compiled_loop.py tells it to C."""
     at, counted = exported.arrays.at, o.to if o.to is not None else o.source
     window, count = o.kind == "window", 0
     if counted is not None:

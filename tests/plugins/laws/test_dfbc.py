@@ -88,7 +88,7 @@ def test_what_is_believed_is_taken_away(vehicle):
 
 @pytest.mark.parametrize("law", [controller, lambda vehicle, air: Geometric().controller(vehicle, air)])
 def test_a_believed_scale_of_the_air_is_a_model_with_so_much_more_drag(vehicle, law):
-    """DFBC and geometric control, turned and fast, in a assumed wind."""
+    """DFBC and geometric control, turned and fast, in an assumed wind."""
     drag, still, wind = np.array([0.4, 0.3, 0.1]), np.zeros(3), np.array([1.0, -2.0, 0.5])
     x = np.concatenate([np.zeros(3), Rotation.from_rotvec([0.03, -0.05, 0.04]).as_quat(scalar_first=True), np.zeros(6)])
     x[VELOCITY], x[RATE] = (5.0, -3.0, 1.0), (0.2, -0.1, 0.1)

@@ -241,7 +241,7 @@ def test_compiled_and_interpreted_give_the_same_commands():
 
 
 def test_the_air_is_that_of_the_state_and_of_the_believed_wind():
-    """At rest, a model of drag is a assumed force of the same size; wind takes its part of the velocity."""
+    """At rest, a model of drag is an assumed force of the same size; wind takes its part of the velocity."""
     from quadexp.models.linear_drag import linear_drag_residual
 
     vehicle, window, drag = vehicle_of("torrente"), hovering(vehicle_of("torrente")), np.array([0.5, 0.3, 0.1])

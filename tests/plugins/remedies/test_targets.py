@@ -1,4 +1,4 @@
-"""Targets under a assumed disturbance hold the path: their thrust is what it asks for less the disturbance."""
+"""Targets under an assumed disturbance hold the path: their thrust is what it asks for less the disturbance."""
 
 import casadi as ca
 import numpy as np

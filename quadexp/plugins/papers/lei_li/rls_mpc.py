@@ -120,7 +120,7 @@ class RLSMPC(PredictivePart):
 
 
 def in_flight(rls: Identification, vehicle: Vehicle) -> ca.Function:
-    """Identification as an call: rotor speeds that are not measured are replaced by the commanded ones."""
+    """Identification as a call: rotor speeds that are not measured are replaced by the commanded ones."""
     inputs = Inputs(vehicle, Circumstances(0.0), ca.MX)
     kept = {name: inputs.symbol(NOW + name, (values.size, 1)) for name, values in rls.remembered.items()}
     read, turning = ca.vertsplit(inputs.fresh)

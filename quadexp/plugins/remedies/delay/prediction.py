@@ -39,7 +39,7 @@ STEP = 0.02  # s, of the integration
 
 
 def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) -> ca.Function:
-    """The model's state after the thrusts of the last commands, in a assumed world.
+    """The model's state after the thrusts of the last commands, in an assumed world.
 
     Inputs: x (13,); commands (n, m) (N), the oldest first; weights (m, parts) on them of the thrusts in each part of
     the time, the first to act first; dt (parts,), for how long each acts (s); theta of the residual; wind (3,), world
