@@ -3,8 +3,8 @@ and how a figure is written.
 
 A controller whose option states its look has it in every figure and on the page, and so does a model of the air:
 `gp_mpc` and a GP are blue. Variants of a controller (settings, checkpoint) have its marker, hollow, and another dash;
-their colours, and those of all others, are what differs most from the colours in use (CIE L*a*b*). All colours have a
-contrast of 3:1 and are distinct for colour-blind readers (tests/report/test_style.py).
+their colours, and those of all others, are the next of CYCLE that nobody has. All colours have a contrast of 3:1 and
+are distinct for colour-blind readers (tests/report/test_style.py).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import io
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, wraps
+from functools import wraps
 from itertools import cycle, product
 from pathlib import Path
 from typing import Any
@@ -181,8 +181,6 @@ MODELS = {  # of the air
     "blade element": Look("vermillion", "D", "-."),
 }
 LOOKS = MODELS | _looks_of_options()
-SRGB_TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-WHITE = np.array([0.9505, 1.0, 1.089])  # D65
 BLUE, ORANGE, GREY = HUES["blue"], HUES["orange"], "#777777"
 # Light for small errors, dark for large ones; without the end that is invisible on white paper.
 ERROR_COLOURS = LinearSegmentedColormap.from_list(
@@ -199,8 +197,8 @@ CYCLE = tuple(  # the looks of those that state none: every hue, then every hue 
 def looks(labels: Sequence[str]) -> dict[str, Look]:
     """Label -> look; no two have one colour, up to the length of CYCLE. The first word of a label is the controller. A
     controller that states its look has it, in whatever company. Every other label, and a variant of a controller or the
-    same with remedies (gp_mpc+wind), has the colour that differs most from those in use; a variant keeps the marker of
-    its controller, hollow, and has another dash.
+    same with remedies (gp_mpc+wind), has the next colour that is free: a hue as long as there is one, then a shade. A
+    variant keeps the marker of its controller, hollow, and has another dash.
     """
     labels = distinct(labels)
     order = {name: place for place, name in enumerate(LOOKS)}
@@ -210,40 +208,18 @@ def looks(labels: Sequence[str]) -> dict[str, Look]:
         stated = LOOKS.get(name_of(label))
         if stated is not None and stated.colour not in {look.colour for look in chosen.values()}:
             chosen[label] = stated
+    worn = {look.colour for look in chosen.values()}
+    free = cycle([look for look in CYCLE if look.colour not in worn])
     for label in in_order:
         if label in chosen:
             continue
-        look = _unlike([look.colour for look in chosen.values()])
+        look = next(free)
         stated = LOOKS.get(name_of(label).partition("+")[0])
         if stated is not None:
             alike = sum(other.marker == stated.marker for other in chosen.values())
             look = replace(look, marker=stated.marker, filled=False, dash=DASHES[alike % len(DASHES)])
         chosen[label] = look
     return {label: chosen[label] for label in labels}
-
-
-def _unlike(worn: Sequence[str]) -> Look:
-    """The look of CYCLE whose colour differs most from those worn: a hue as long as there is one, then a shade."""
-    free = [look for look in CYCLE if look.colour not in worn]
-    if not free:
-        return replace(CYCLE[len(worn) % len(CYCLE)], filled=False)
-    free = [look for look in free if look.shade == 0] or free
-    return max(free, key=lambda look: min((difference(look.colour, other) for other in worn), default=0.0))
-
-
-@cache
-def difference(a: str, b: str) -> float:
-    """Distance of two colours "#rrggbb" in CIE L*a*b* (D65); 2.3 is just noticeable."""
-    return float(np.linalg.norm(np.subtract(_lab(a), _lab(b))))
-
-
-def _lab(colour: str) -> np.ndarray:
-    """L*, a*, b* of an sRGB colour (IEC 61966-2-1; CIE 15)."""
-    rgb = np.array(to_rgb(colour))
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    ratio = SRGB_TO_XYZ @ linear / WHITE
-    f = np.where(ratio > 0.008856, np.cbrt(ratio), 7.787 * ratio + 16 / 116)
-    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
 
 
 def name_of(label: str) -> str:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from quadexp.parts.options import OptionFiles
 from quadexp.plugins.page.report.source import read_comparison
-from quadexp.report.style import CYCLE, GLYPHS, HUES, LOOKS, MODELS, SHADES, difference, looks, plain_log, shaded
+from quadexp.report.style import CYCLE, GLYPHS, HUES, LOOKS, MODELS, SHADES, looks, plain_log, shaded
 from tests.report.results import ERRORS, make_results, speed_figure
 from tests.report.test_tables import row
 
@@ -113,11 +113,6 @@ def test_the_colours_of_any_selection_of_shipped_controllers_can_be_told_apart(l
     colours = [look.colour for look in looks(labels).values()]
     assert least_difference(colours, "normal") > 25
     assert min(least_difference(colours, vision) for vision in VISIONS) > 10
-
-
-def test_the_difference_of_two_colours_is_that_of_another_computation():
-    for a, b in combinations(HUES.values(), 2):
-        assert difference(a, b) == pytest.approx(np.linalg.norm(lab(linear(a)) - lab(linear(b))), rel=1e-6)
 
 
 def test_remedies_are_told_apart_and_have_the_marker_of_their_controller():
