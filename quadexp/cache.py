@@ -1,10 +1,8 @@
 """The private folder for what can be made again: compiled functions, which are executed, and composed options.
 
-It is opened one component after the other, following no link, and stays open. Only a folder is used that belongs to
-this user, that nobody else may write to, and that nobody else may put another one in the place of: each folder above it
-belongs to this user or to the owner of the root, and others may not write there, unless it is sticky as /tmp is. Below
-a folder of this user that others may not enter, nothing needs to be looked at. What lies in the folder is then reached
-through the open handle (/proc/self/fd; where a system has none, by the path that was checked).
+Only a folder is used that belongs to this user, that nobody else may write to, and that nobody else may put another one
+in the place of: each folder above it belongs to this user or to the owner of the root, and others may not write there,
+unless it is sticky as /tmp is. Below a folder of this user that others may not enter, nothing needs to be looked at.
 """
 
 from __future__ import annotations
@@ -17,64 +15,36 @@ import stat
 import tempfile
 import time
 from pathlib import Path
-from typing import NamedTuple
 
 from quadexp.errors import DEVICE, QuadexpError, WriteError
-from quadexp.writer import FOLDER_FLAGS, clean
+from quadexp.writer import ABANDONED, clean
 
 BOUND = 1_000_000_000  # bytes of all libraries
-LONG_AGO = 86400.0  # s
 _LIBRARY = re.compile(r"\w+_[0-9a-f]{24}\.s?o")  # or what is compiled for several of them
 _OTHERS = re.compile(r"\w+_[0-9a-f]{24}\.sha256|[0-9a-f]{24}\.lock|[0-9a-f]{40}\.json")
 
 
-class CacheFolder(NamedTuple):
-    """path: as it is called. inside: the same folder by its open handle."""
-
-    path: Path
-    inside: Path
-
-
-_open: dict[Path, CacheFolder] = {}
-
-
-def cache_folder() -> CacheFolder:
+def cache_folder() -> Path:
     """Folder of what is kept between runs, made private (0700): $QUADEXP_CACHE, else the user's cache folder, else,
     where that takes no files or is open to others, one in the system's temporary folder. Raises QuadexpError."""
     chosen, base = os.environ.get("QUADEXP_CACHE"), os.environ.get("XDG_CACHE_HOME")
     if not chosen:
         with contextlib.suppress(RuntimeError, QuadexpError):
-            folder = _opened((Path(base) if base else Path.home() / ".cache") / "quadexp")
-            if os.access(folder.inside, os.W_OK | os.X_OK):
+            folder = _checked((Path(base) if base else Path.home() / ".cache") / "quadexp")
+            if os.access(folder, os.W_OK | os.X_OK):
                 return folder
-    return _opened(Path(chosen or Path(tempfile.gettempdir()) / f"quadexp-{os.getuid()}"))
+    return _checked(Path(chosen or Path(tempfile.gettempdir()) / f"quadexp-{os.getuid()}"))
 
 
-def _opened(path: Path) -> CacheFolder:
+def _checked(path: Path) -> Path:
+    """The folder, which is made where it is not there. Raises QuadexpError where others can get at it."""
     path = Path(os.path.realpath(path))
     try:
-        fd = _checked(path)
-    except OSError as error:
-        raise unusable(path, error) from None
-    with contextlib.suppress(KeyError, OSError):
-        if os.path.samestat(os.stat(_open[path].inside), os.fstat(fd)):
-            os.close(fd)
-            return _open[path]
-    handle = Path(f"/proc/self/fd/{fd}")
-    _open[path] = CacheFolder(path, handle if handle.is_dir() else path)
-    return _open[path]
-
-
-def _checked(path: Path) -> int:
-    """A handle of the folder, which is made where it is not there. Raises QuadexpError where others can get at it."""
-    fd = os.open("/", FOLDER_FLAGS)
-    root, closed = os.fstat(fd).st_uid, False
-    try:
-        for part in [*reversed(path.parents), path][1:]:
-            above, fd = fd, _entered(fd, part.name)
-            os.close(above)
-            status = os.fstat(fd)
-            is_ours, last = status.st_uid == os.getuid(), part == path
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        root, closed = os.stat("/").st_uid, False
+        for part in [*reversed(path.parents), path]:
+            status, last = part.stat(), part == path
+            is_ours = status.st_uid == os.getuid()
             if not is_ours and (last or not (closed or status.st_uid == root)):
                 raise QuadexpError(f"{part}: belongs to another user, set QUADEXP_CACHE to a folder of your own")
             if status.st_mode & 0o022 and (last or not (closed or status.st_mode & stat.S_ISVTX)):
@@ -84,33 +54,22 @@ def _checked(path: Path) -> int:
                     " QUADEXP_CACHE"
                 )
             closed |= is_ours and not status.st_mode & 0o011
-    except BaseException:
-        os.close(fd)
-        raise
-    return fd
+    except OSError as error:
+        raise unusable(path, error) from None
+    return path
 
 
-def _entered(above: int, name: str) -> int:
-    flags = FOLDER_FLAGS | os.O_NOFOLLOW
-    try:
-        return os.open(name, flags, dir_fd=above)
-    except FileNotFoundError:
-        with contextlib.suppress(FileExistsError):
-            os.mkdir(name, 0o700, dir_fd=above)
-        return os.open(name, flags, dir_fd=above)
-
-
-def libraries(folder: CacheFolder) -> dict[Path, os.stat_result]:
+def libraries(folder: Path) -> dict[Path, os.stat_result]:
     """The libraries and what is known of them, the one first that was not used for longest (its time of change)."""
     entries = {}
-    for entry in os.scandir(folder.inside):
+    for entry in os.scandir(folder):
         with contextlib.suppress(OSError):  # removed by another process
             if _LIBRARY.fullmatch(entry.name):
                 entries[Path(entry.path)] = entry.stat(follow_symlinks=False)
     return dict(sorted(entries.items(), key=lambda item: item[1].st_mtime))
 
 
-def thin(folder: CacheFolder, newest: Path) -> None:
+def thin(folder: Path, newest: Path) -> None:
     """Keep the libraries below their bound, and remove what compilations left that were killed long ago."""
     entries = libraries(folder)
     total = sum(about.st_size for about in entries.values())
@@ -119,16 +78,16 @@ def thin(folder: CacheFolder, newest: Path) -> None:
             total -= about.st_size
             for path in (library, library.with_suffix(".sha256")):
                 path.unlink(missing_ok=True)
-    for scratch in folder.inside.glob(".build-*"):
+    for scratch in folder.glob(".build-*"):
         with contextlib.suppress(OSError):
-            if time.time() - scratch.stat().st_mtime > LONG_AGO:
+            if time.time() - scratch.stat().st_mtime > ABANDONED:
                 shutil.rmtree(scratch, ignore_errors=True)
 
 
-def clear(folder: CacheFolder) -> None:
+def clear(folder: Path) -> None:
     """Remove every file of the cache, known by its name; other files in the folder stay."""
-    clean(folder.inside)
-    for entry in os.scandir(folder.inside):
+    clean(folder, older=ABANDONED)
+    for entry in os.scandir(folder):
         if _LIBRARY.fullmatch(entry.name) or _OTHERS.fullmatch(entry.name):
             Path(entry.path).unlink(missing_ok=True)
 

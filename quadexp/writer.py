@@ -1,13 +1,12 @@
-"""The one writer: a file or a folder takes its name whole or not at all, and nobody else's link is followed.
+"""The one writer: a file or a folder takes its name whole or not at all.
 
-The content goes into a new file of a random name in the folder that it will lie in (O_CREAT | O_EXCL | O_NOFOLLOW, the
-folder held open) and is flushed to the disk. Then it takes its name: with `force` by rename(2), which replaces what is
-there, a link itself and not what it leads to; without by link(2), which fails where the name is taken, so that of two
-programs that write the same new file one is refused. Where a file system has no hard links, an empty file made with
-O_EXCL takes the name first. A folder takes its name by rename(2), which replaces no folder that holds something.
+The content goes into a new file of a random name in the folder that it will lie in and is flushed to the disk. Then it
+takes its name: with `force` by rename(2), which replaces what is there, a link itself and not what it leads to; without
+by link(2), which fails where the name is taken, so that of two programs that write the same new file one is refused.
+Where a file system has no hard links, an empty file takes the name first. A folder takes its name by rename(2), which
+replaces no folder that holds something.
 
-A temporary is called .quadexp-<16 hex digits>.tmp and is locked (flock) as long as its writer lives. `clean` removes
-those that no one holds any more, of this user, and nothing else.
+A temporary is called .quadexp-<16 hex digits>.tmp. `clean` removes what killed writers left.
 """
 
 from __future__ import annotations
@@ -15,11 +14,12 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
-import fcntl
 import os
 import re
 import secrets
 import shutil
+import tempfile
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
@@ -27,9 +27,8 @@ from typing import BinaryIO
 from quadexp.errors import UsageError, write_error
 
 TEMPORARY = re.compile(r"\.quadexp-[0-9a-f]{16}\.tmp")
+ABANDONED = 86400.0  # s after its last change that no writer is at work on a temporary any more
 _NO_LINKS = (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
-FOLDER_FLAGS = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY
-_NEW = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
 
 
 def check_output(path: str | Path, *, force: bool = False, folder: bool = False) -> Path:
@@ -52,10 +51,8 @@ def check_output(path: str | Path, *, force: bool = False, folder: bool = False)
         if occupied and not force:
             raise taken(path)
         above = [path, *path.absolute().parents] if folder else list(path.absolute().parents)
-        with opened(next(parent for parent in above if parent.exists())) as nearest:
-            name, file = _new_file(nearest)
-            file.close()
-            os.unlink(name, dir_fd=nearest)
+        nearest = next(parent for parent in above if parent.exists())
+        tempfile.TemporaryFile(dir=nearest).close()
     except OSError as error:
         raise UsageError(f"{path}: cannot be written there ({error.strerror}): choose another --out") from None
     except UnicodeEncodeError:
@@ -69,29 +66,25 @@ def taken(path: Path) -> UsageError:
 
 
 @contextlib.contextmanager
-def written(
-    path: str | Path, *, force: bool = True, durable: bool = True, inside: Path | None = None
-) -> Iterator[BinaryIO]:
+def written(path: str | Path, *, force: bool = True, durable: bool = True) -> Iterator[BinaryIO]:
     """A file, open for reading and writing, that becomes `path` on leaving without an error.
 
-    force: replace an existing file. durable: flush it to the disk first. inside: a folder above `path`, below which a
-    link is refused. Raises UsageError where `path` is taken (without force), WriteError where it cannot be written.
+    force: replace an existing file. durable: flush it to the disk first.
+    Raises UsageError where `path` is taken (without force), WriteError where it cannot be written.
     """
     path = Path(path)
+    temporary = _temporary(path.parent)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with opened(path.parent, inside) as folder:
-            temporary, file = _new_file(folder)
+        with open(temporary, "x+b") as file:
             try:
-                with file:
-                    yield file
-                    file.flush()
-                    if durable:
-                        os.fsync(file.fileno())
-                    _take_name(folder, temporary, path, force)
+                yield file
+                file.flush()
+                if durable:
+                    os.fsync(file.fileno())
+                _take_name(temporary, path, force)
             finally:
-                with contextlib.suppress(OSError):
-                    os.unlink(temporary, dir_fd=folder)
+                temporary.unlink(missing_ok=True)
     except OSError as error:
         raise write_error(path, error) from error
 
@@ -106,9 +99,9 @@ def flush(folder: Path) -> None:
         os.close(fd)
 
 
-def write_text(path: str | Path, text: str, *, force: bool = True, inside: Path | None = None) -> Path:
+def write_text(path: str | Path, text: str, *, force: bool = True) -> Path:
     """Write a text file, whole or not at all; see `written`."""
-    with written(path, force=force, inside=inside) as file:
+    with written(path, force=force) as file:
         file.write(text.encode())
     return Path(path)
 
@@ -116,124 +109,60 @@ def write_text(path: str | Path, text: str, *, force: bool = True, inside: Path 
 def write_folder(path: Path, files: Mapping[str, str | bytes], *, force: bool = True) -> Path:
     """Write a folder of files, texts or bytes. A new one appears whole; in one that is there the files take their names
     once all are written, the last one first. Raises as `written` does."""
+    temporary = _temporary(path.parent)
     try:
         if path.is_dir():
             with contextlib.ExitStack() as stack:
                 for name, text in files.items():
                     stack.enter_context(written(path / name, force=force)).write(_bytes(text))
             return path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        clean(path.parent)
-        with opened(path.parent) as parent:
-            os.mkdir(temporary := _new_name(), dir_fd=parent)
-            try:
-                _fill(parent, temporary, path.name, files)
-            finally:
-                shutil.rmtree(temporary, ignore_errors=True, dir_fd=parent)
+        clean(path.parent, older=ABANDONED)
+        temporary.mkdir(parents=True)
+        try:
+            for name, text in files.items():
+                with written(temporary / name) as file:
+                    file.write(_bytes(text))
+            os.rename(temporary, path)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
     except OSError as error:
         raise taken(path) if error.errno in (errno.ENOTEMPTY, errno.EEXIST) else write_error(path, error) from error
     return path
 
 
-@contextlib.contextmanager
-def opened(folder: Path, inside: Path | None = None) -> Iterator[int]:
-    """A folder held open. inside: a folder above it; what lies between the two is no link, else OSError."""
-    fd = os.open(inside or folder, FOLDER_FLAGS)
-    try:
-        for name in folder.relative_to(inside).parts if inside else ():
-            try:
-                above, fd = fd, os.open(name, FOLDER_FLAGS | os.O_NOFOLLOW, dir_fd=fd)
-            except NotADirectoryError:
-                raise NotADirectoryError(errno.ENOTDIR, f"{name} is a link, or no folder") from None
-            os.close(above)
-        yield fd
-    finally:
-        os.close(fd)
-
-
-def make_inside(root: Path, folder: Path) -> None:
-    """Make a folder below `root`; WriteError where a link stands in its place, which could lead anywhere."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with opened(folder, root):
-            pass
-    except OSError as error:
-        raise write_error(folder, error) from error
-
-
-def remove(path: Path, inside: Path) -> None:
-    """Remove a file below the folder `inside`, if it is there: a link itself, never by way of one."""
-    with contextlib.suppress(FileNotFoundError, NotADirectoryError), opened(path.parent, inside) as folder:
-        os.unlink(path.name, dir_fd=folder)
-
-
-def clean(folder: Path) -> None:
-    """Remove what killed writers left in a folder."""
+def clean(folder: Path, older: float = 0.0) -> None:
+    """Remove what killed writers left in a folder. older: s since the last change; 0 where no writer is at work."""
     for entry in os.scandir(folder) if folder.is_dir() else ():
-        if not TEMPORARY.fullmatch(entry.name):
+        if not TEMPORARY.fullmatch(entry.name) or entry.is_symlink():
             continue
-        with contextlib.suppress(OSError):  # locked by its writer, gone, or a link
-            is_folder = entry.is_dir(follow_symlinks=False)
-            fd = os.open(entry.path, (os.O_RDONLY if is_folder else os.O_RDWR) | os.O_NOFOLLOW | os.O_NONBLOCK)
-            try:
-                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if os.fstat(fd).st_uid == os.getuid():
-                    (shutil.rmtree if is_folder else os.unlink)(entry.path)
-            finally:
-                os.close(fd)
+        with contextlib.suppress(OSError):  # gone, or another user's
+            if time.time() - entry.stat().st_mtime < older:
+                continue
+            if entry.is_dir():
+                shutil.rmtree(entry.path)
+            else:
+                os.unlink(entry.path)
 
 
-def unfollowed(name: str, flags: int) -> int:
-    """Opener of a lock file: refuses a link, and does not empty an existing file."""
-    return os.open(name, (flags | os.O_NOFOLLOW) & ~os.O_TRUNC, 0o666)
-
-
-def _new_name() -> str:
-    return f".quadexp-{secrets.token_hex(8)}.tmp"
-
-
-def _new_file(folder: int) -> tuple[str, BinaryIO]:
-    """A new file and its name, locked against `clean`."""
-    while True:
-        name = _new_name()
-        file = os.fdopen(os.open(name, _NEW, 0o666, dir_fd=folder), "w+b")
-        with contextlib.suppress(OSError):  # a file system without locks, where `clean` removes nothing
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        if os.fstat(file.fileno()).st_nlink:  # else it was taken for a killed writer's before it was locked
-            return name, file
-        file.close()
+def _temporary(folder: Path) -> Path:
+    return folder / f".quadexp-{secrets.token_hex(8)}.tmp"
 
 
 def _bytes(content: str | bytes) -> bytes:
     return content.encode() if isinstance(content, str) else content
 
 
-def _fill(parent: int, temporary: str, name: str, files: Mapping[str, str | bytes]) -> None:
-    """Write the files of a new folder, held open and locked, and let it take its name."""
-    folder = os.open(temporary, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=parent)
+def _take_name(temporary: Path, path: Path, force: bool) -> None:
+    if force:
+        os.replace(temporary, path)
+        return
     try:
-        with contextlib.suppress(OSError):
-            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        for inner, text in files.items():
-            with os.fdopen(os.open(inner, _NEW, 0o666, dir_fd=folder), "wb") as file:
-                file.write(_bytes(text))
-                file.flush()
-                os.fsync(file.fileno())
-        os.rename(temporary, name, src_dir_fd=parent, dst_dir_fd=parent)
-    finally:
-        os.close(folder)
-
-
-def _take_name(folder: int, temporary: str, path: Path, force: bool) -> None:
-    try:
-        if not force:
-            try:
-                os.link(temporary, path.name, src_dir_fd=folder, dst_dir_fd=folder, follow_symlinks=False)
-                return
-            except OSError as error:
-                if error.errno not in _NO_LINKS:
-                    raise
-            os.close(os.open(path.name, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600, dir_fd=folder))
-        os.rename(temporary, path.name, src_dir_fd=folder, dst_dir_fd=folder)
+        try:
+            os.link(temporary, path)
+        except OSError as error:
+            if error.errno not in _NO_LINKS:
+                raise
+            path.touch(exist_ok=False)
+            os.replace(temporary, path)
     except FileExistsError:
         raise taken(path) from None

@@ -60,9 +60,9 @@ def cache(clear: Annotated[bool, Ask("Remove all of it; it is made again when ne
     if clear:
         kept.clear(folder)
     sizes = [about.st_size for about in kept.libraries(folder).values()]
-    record = {"folder": folder.path, "libraries": len(sizes), "bytes": sum(sizes), "bound": kept.BOUND}
+    record = {"folder": folder, "libraries": len(sizes), "bytes": sum(sizes), "bound": kept.BOUND}
     full = f"{sum(sizes) / 1e6:.1f} of at most {kept.BOUND / 1e6:.0f} MB"
-    return Answer(record, [record], [f"{len(sizes)} compiled functions, {full}", folder.path])
+    return Answer(record, [record], [f"{len(sizes)} compiled functions, {full}", folder])
 
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)

@@ -42,7 +42,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.names import sha256_of
 from quadexp.progress import set_status
-from quadexp.writer import unfollowed, write_text, written
+from quadexp.writer import write_text, written
 
 PRODUCT = "void casadi_mtimes_dense("  # one function for all of a library: its sums do not depend on what else is there
 FORM = "numbers and parts linked"  # how libraries are made: another word where that changes
@@ -122,8 +122,7 @@ def strict_library(name: str, *bodies: Path, loader: type[ctypes.CDLL] = ctypes.
 
 
 def _unloadable(error: OSError) -> QuadexpError:
-    path, inside = cache_folder()
-    return QuadexpError(f"{error}; set QUADEXP_CACHE to another folder".replace(str(inside), str(path)))
+    return QuadexpError(f"{error}; set QUADEXP_CACHE to another folder")
 
 
 def handwritten(
@@ -189,15 +188,15 @@ def _cached(name: str, source: str, flags: Sequence[str], suffix: str, make: Cal
     """Path of what `make`, in a private folder, builds of a source, unless the cache has it."""
     key = sha256_of("\n".join([FORM, toolchain(), *flags, source]))[:24]
     folder = cache_folder()
-    kept = folder.inside / f"{name}_{key}{suffix}"
+    kept = folder / f"{name}_{key}{suffix}"
     try:
         if not _intact(kept):
-            with _lock(folder.inside / f"{key}.lock"):
+            with _lock(folder / f"{key}.lock"):
                 if not _intact(kept):
-                    _build(name, make, folder.path / kept.name)
+                    _build(name, make, kept)
                     thin(folder, kept)
     except OSError as error:
-        raise unusable(folder.path, error) from None
+        raise unusable(folder, error) from None
     with contextlib.suppress(OSError):
         os.utime(kept)  # used now
     return kept
@@ -206,7 +205,7 @@ def _cached(name: str, source: str, flags: Sequence[str], suffix: str, make: Cal
 @contextlib.contextmanager
 def _lock(path: Path) -> Iterator[None]:
     """Only one process at a time; on a file system without locks all of them build, and the last one stays."""
-    with open(path, "w", opener=unfollowed) as file:
+    with open(path, "w") as file:
         with contextlib.suppress(OSError):
             fcntl.flock(file, fcntl.LOCK_EX)
         try:
@@ -216,7 +215,7 @@ def _lock(path: Path) -> Iterator[None]:
 
 
 def _build(name: str, make: Callable[[Path, Path], None], kept: Path) -> None:
-    """Make in a private folder. The compiler is another process: it needs the path, not the handle."""
+    """Make in a private folder."""
     with tempfile.TemporaryDirectory(dir=kept.parent, prefix=".build-", ignore_cleanup_errors=True) as scratch:
         built = Path(scratch) / f"made{kept.suffix}"
         make(Path(scratch), built)

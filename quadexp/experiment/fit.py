@@ -52,7 +52,7 @@ def fit_checkpoint(
         from quadexp.report.style import save
 
         figure = figure_of(fit.held_out_model, fit.test or fit.train, str(out))
-        files = {"fit": str(save(figure, out / "figures" / "fit", inside=out))}
+        files = {"fit": str(save(figure, out / "figures" / "fit"))}
     lines = [f"{report['summary']} from {data.n_rows} rows of {len(data.flights)} flights"]
     if after is not None:
         lines.append(f"of what {after} leaves: to be flown in a sum with it")

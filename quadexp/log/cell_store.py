@@ -5,8 +5,7 @@
 
 A cell is done when its file exists and holds, byte for byte, what was written; a file appears complete or not at all,
 but for a power cut before the sweep's end, after which some may be damaged and are flown again.
-Nothing else is kept between runs. No link is followed below the results folder: what lies behind one is no cell, is
-not removed, and nothing is written there.
+Nothing else is kept between runs.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from typing import Any
 from quadexp.errors import DataError, UsageError
 from quadexp.log.store import read_record
 from quadexp.names import check_names
-from quadexp.writer import check_output, clean, make_inside, remove, unfollowed, write_text
+from quadexp.writer import check_output, clean, write_text
 
 MARK = "cells"
 ASKED = "asked.json"
@@ -41,7 +40,7 @@ class CellStore:
         if self.root.is_dir() and any(self.root.iterdir()) and not self.folder.is_dir():
             raise UsageError(f"{self.root}: is a folder of other things, not of results: choose another --out")
         check_output(self.root, folder=True, force=True)
-        make_inside(self.root, self.folder)
+        self.folder.mkdir(parents=True, exist_ok=True)
 
     @property
     def is_frozen(self) -> bool:
@@ -51,7 +50,7 @@ class CellStore:
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
         """Refuse a second sweep in this folder while one runs; raises UsageError."""
-        with open(self.folder / ".lock", "w", opener=unfollowed) as file:
+        with open(self.folder / ".lock", "w") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 theirs = not os.path.samestat(os.fstat(file.fileno()), os.stat(file.name))
@@ -100,9 +99,9 @@ class CellStore:
     def _write_asked(self, keys: set[str]) -> None:
         path = self.folder / ASKED
         if keys:
-            write_text(path, json.dumps(sorted(keys)), inside=self.root)
+            write_text(path, json.dumps(sorted(keys)))
         else:
-            remove(path, self.root)
+            path.unlink(missing_ok=True)
 
     def row(self, key: str, log_period: float = math.inf) -> dict[str, Any]:
         """Result row of a cell; raises as `record` does."""
@@ -124,7 +123,7 @@ class CellStore:
 
     def remove(self, keys: Iterable[str]) -> None:
         for key in keys:
-            remove(self.path(key), self.root)
+            self.path(key).unlink(missing_ok=True)
 
     def clean(self) -> None:
         """Remove unfinished files of an interrupted run (call it with the lock held)."""
@@ -138,7 +137,7 @@ class CellStore:
             yield
         except BaseException:
             if not self.done():
-                remove(self.folder / ASKED, self.root)
+                (self.folder / ASKED).unlink(missing_ok=True)
             for folder in (*self._folders(), self.folder, self.root):
                 with contextlib.suppress(OSError):  # it holds something
                     if folder != self.folder or os.listdir(self.root) == [MARK]:  # which tells what a folder is
@@ -147,6 +146,4 @@ class CellStore:
 
     def _folders(self) -> list[Path]:
         """The folders that cells lie in."""
-        if self.folder.is_symlink() or not self.folder.is_dir():
-            return []
-        return [Path(entry.path) for entry in os.scandir(self.folder) if entry.is_dir(follow_symlinks=False)]
+        return [path for path in self.folder.iterdir() if path.is_dir()] if self.folder.is_dir() else []

@@ -34,5 +34,5 @@ def write(module: Any, rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str
 
     tables, figures = module.draw(rows, out)
     files = {f"table_{name}": write_text(out / f"{name}.md", text) for name, text in tables.items()}
-    files |= {f"figure_{name}": save(figure, out / "figures" / name, out) for name, figure in figures.items()}
+    files |= {f"figure_{name}": save(figure, out / "figures" / name) for name, figure in figures.items()}
     return {name: str(path) for name, path in files.items()}

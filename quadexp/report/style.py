@@ -273,12 +273,11 @@ def error_bar(figure: Figure, norm: Normalize, panels: Any, label: str, **where:
 
 
 @styled
-def save_figure(figure: Figure, path: Path, *, inside: Path | None = None, force: bool = True) -> Path:
-    """Write a figure as PNG, PDF or SVG, as its suffix says, without the time at which it was drawn. inside: see
-    `written`."""
+def save_figure(figure: Figure, path: Path, *, force: bool = True) -> Path:
+    """Write a figure as PNG, PDF or SVG, as its suffix says, without the time at which it was drawn."""
     form = path.suffix.lower().lstrip(".")
     undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(form)
-    with written(path, inside=inside, force=force) as file:
+    with written(path, force=force) as file:
         figure.savefig(file, format=form, dpi=150, metadata=undated)
     return path
 
@@ -290,11 +289,11 @@ def check_path(path: Path, force: bool, suffixes: Sequence[str] = PICTURES) -> P
     return check_output(path, force=force)
 
 
-def save(figure: Figure, path: Path, inside: Path | None = None) -> Path:
+def save(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG and SVG; returns the path of the SVG, the last that is written."""
     set_status(f"drawing {path.name}")
     for form in FORMATS[::-1]:
-        save_figure(figure, path.with_suffix(f".{form}"), inside=inside)
+        save_figure(figure, path.with_suffix(f".{form}"))
     return path.with_suffix(".svg")
 
 

@@ -38,7 +38,7 @@ from quadexp.report.table import Table
 from quadexp.sweeps.engine import CellFailed, CellFunction, Engine, LocalEngine, Progress, Task, Workers
 from quadexp.sweeps.plan import INVALID, Job, check_jobs, flying_order, plan_cells
 from quadexp.sweeps.sweep_table import Row, table_row, write_results
-from quadexp.writer import flush, make_inside
+from quadexp.writer import flush
 
 Old = Literal["ask", "refly", "keep"]  # what to do with cells that other sources have flown
 
@@ -269,8 +269,6 @@ def _fly_missing(
 ) -> Iterator[Row]:
     """Fly the cells that have no row, and give them one; yield each as it ends, also of those that failed."""
     todo = [job for job in jobs.values() if job.key not in rows]
-    for folder in {store.path(job.key).parent for job in todo}:
-        make_inside(store.root, folder)
     progress(len(rows), len(jobs))
     if not todo:
         return

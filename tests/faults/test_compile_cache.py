@@ -103,7 +103,7 @@ def test_a_folder_that_others_may_write_to_is_refused(folder):
 
 
 def test_a_new_folder_is_private(folder):
-    assert cache_folder().path.stat().st_mode & 0o777 == 0o700
+    assert cache_folder().stat().st_mode & 0o777 == 0o700
 
 
 def refused(started):

@@ -10,22 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from quadexp.errors import DataError, QuadexpError, UsageError
-from quadexp.log.cell_store import CellStore
+from quadexp.errors import DataError, UsageError
 from quadexp.log.store import read_flight, write_flight, write_table
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.names import NAMED, file_name, is_name
-from quadexp.parts.compose import compose, expand
+from quadexp.parts.compose import compose
 from quadexp.plugins.page.sweep_figures import SweepFigures
 from quadexp.plugins.tune.preset import check_name
 from quadexp.reference.hover import Hover
 from quadexp.requests import _flight_name, _results_name
-from quadexp.sweeps.results import prune, select
-from quadexp.sweeps.sweep import run_sweep
-from tests.faults.command import FLY, run
-from tests.files.test_writer import PRECIOUS, drag
+from quadexp.sweeps.results import select
+from tests.files.test_writer import drag
 from tests.log.flights import straight_flight
-from tests.sweeps.cells import quick_cell
 
 HOSTILE = (
     "../../../x", "/etc/x", "..", ".", "", "a/../../b", "-rf", "~", ".hidden", "nul", "COM1.txt", "a\0b",
@@ -87,43 +83,3 @@ def test_a_name_is_one_printable_line(name, tmp_path):
     model = replace(drag(), vehicle={"name": name, "fingerprint": "0"})
     with pytest.raises(DataError, match="vehicle is not one printable line"):
         load_model(save_model(tmp_path / "m", model))
-
-
-@pytest.fixture
-def linked(tmp_path):
-    """A folder of results whose cells of one letter lie behind a link, in a folder of somebody else's."""
-    out, outside = tmp_path / "r", tmp_path / "outside"
-    run_sweep(expand(["seed=range(2)"]), out, function=quick_cell, isolate=False)
-    key = min(CellStore(out).done())
-    CellStore(out).path(key).parent.rename(outside)
-    (out / "cells" / key[:2]).symlink_to(outside)
-    (outside / "thesis.tmp").write_text(PRECIOUS)
-    return out, outside
-
-
-def test_results_remove_nothing_behind_a_link(linked):
-    out, outside = linked
-    before = {path.name: path.read_bytes() for path in outside.iterdir()}
-    prune(out, ["controller=*"], remove=True)
-    CellStore(out).clean()
-    assert {path.name: path.read_bytes() for path in outside.iterdir()} == before
-
-
-def test_a_sweep_writes_nothing_behind_a_link(linked):
-    out, outside = linked
-    before = sorted(os.listdir(outside))
-    with pytest.raises(QuadexpError, match=r"cannot be written \(.. is a link"):
-        run_sweep(expand(["seed=range(2)"]), out, function=quick_cell, isolate=False, force=True)
-    assert sorted(os.listdir(outside)) == before
-
-
-@pytest.mark.parametrize("place", ["cells", "figures"])
-def test_a_folder_of_results_that_is_a_link(tmp_path, place):
-    outside, out = tmp_path / "outside", tmp_path / "r"
-    outside.mkdir()
-    (outside / "path_hover.svg").write_text(PRECIOUS)
-    out.mkdir()
-    (out / place).symlink_to(outside)
-    (out / "cells").mkdir(exist_ok=True)
-    assert run("evaluate", "--sweep", *FLY[1:], "--out", out).returncode != 0
-    assert os.listdir(outside) == ["path_hover.svg"] and (outside / "path_hover.svg").read_text() == PRECIOUS

@@ -98,7 +98,7 @@ def _of_jobs(config: Any, workers: int, security: Security) -> Iterator[Any]:
     import dask_jobqueue
 
     usual = {"memory": "2GB", "walltime": "01:00:00", "python": shlex.quote(sys.executable)}
-    options = {**usual, "shared_temp_directory": str(cache_folder().path), **config.options}
+    options = {**usual, "shared_temp_directory": str(cache_folder()), **config.options}
     exported = [f"export {name}={value}" for name, value in ENVIRONMENT.items()]
     options["job_script_prologue"] = [*exported, *options.get("job_script_prologue", ())]
     Path(options["shared_temp_directory"]).mkdir(mode=0o700, parents=True, exist_ok=True)

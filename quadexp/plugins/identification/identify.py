@@ -244,6 +244,6 @@ def identify_flights(
         from quadexp.report.style import save
 
         for name, figure in identification_figures(model, samples).items():
-            files[name] = str(save(figure, out / "figures" / name, inside=out))
+            files[name] = str(save(figure, out / "figures" / name))
     texts = {"lines": identification_lines(model, report), "main": main_lines(model, report)}
     return {"method": "regression", "out": out, "figures": files, **report, **texts}

@@ -22,7 +22,7 @@ from quadexp.report.pairing import condition_of, contestant_labels, contestant_o
 from quadexp.report.tables import course_labels
 from quadexp.report.text import speed_text
 from quadexp.sweeps.engine import Workers, cause
-from quadexp.writer import clean, remove
+from quadexp.writer import clean
 
 FOLDER = "figures"
 LONGEST = 600.0  # s that one figure may take
@@ -43,7 +43,7 @@ def draw(drawing: Drawing, path: Path) -> None:
     """Draw a figure as SVG and PNG, each whole or not at all. path: of the SVG."""
     from quadexp.report.style import save
 
-    save(drawing.make(*drawing.inputs), path, path.parent.parent)
+    save(drawing.make(*drawing.inputs), path)
 
 
 def drawings(
@@ -145,7 +145,7 @@ class SweepFigures:
         if kind is not None and self._processes is not None:
             self._processes.stop()  # what they have begun stays unfinished
         folder = self._out / FOLDER
-        if self._asked and not folder.is_symlink():
+        if self._asked:
             clean(folder)
 
     def path(self, name: str) -> Path:
@@ -181,6 +181,6 @@ class SweepFigures:
             except Exception as error:
                 for form in report.FORMATS:
                     with contextlib.suppress(OSError):  # a folder that takes no files has none either
-                        remove(self.path(name).with_suffix(f".{form}"), self._out)
+                        self.path(name).with_suffix(f".{form}").unlink(missing_ok=True)
                 self.failed[name] = cause(error, LONGEST)
         return {f"figure_{name}": str(self.path(name)) for name in self._asked if self.path(name).is_file()}
