@@ -22,6 +22,7 @@ import numpy as np
 from quadexp.errors import DataError, UsageError, WrongFileError
 from quadexp.log.integrity import (
     CONTENT_KEY,
+    as_numpy,
     check_declared,
     check_numbers,
     content_hash,
@@ -68,7 +69,7 @@ def write_table(
     """Write columns (each (k,)) and JSON-able metadata as one Parquet file; force, durable: see `written`."""
     import pyarrow as pa
 
-    arrays = {name: _arrow(values) for name, values in columns.items()}
+    arrays = {name: pa.chunked_array([_arrow(values)]) for name, values in columns.items()}
     record = json.dumps({**metadata, "kind": kind, "schema": SCHEMA}, sort_keys=True, default=_plain)
     schema, text = _schema(kind, tuple((name, array.type) for name, array in arrays.items()))
     content = content_hash(arrays, arrays.values())
@@ -302,10 +303,6 @@ def check_attitude(columns: Mapping[str, np.ndarray], where: str) -> None:
         raise DataError(f"{where}: the quaternion is zero at row {none[0]} ({len(none)} such rows): remove them")
 
 
-# pyarrow's own conversions from and to numpy import pandas, a third of a second in every process; the buffers do not.
-_FLOATS = {"double": "float64", "float": "float32", "halffloat": "float16"}
-
-
 def _arrow(values: Any) -> Any:
     """A column of numbers or of text as an Arrow array."""
     import pyarrow as pa
@@ -317,20 +314,6 @@ def _arrow(values: Any) -> Any:
         return pa.StringArray.from_buffers(len(encoded), pa.py_buffer(offsets), pa.py_buffer(b"".join(encoded)))
     data = pa.py_buffer(np.ascontiguousarray(values))
     return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [None, data])
-
-
-def as_numpy(column: Any) -> np.ndarray:
-    """A column as an array of its own."""
-    import pyarrow as pa
-
-    chunks = []
-    for chunk in column.chunks:
-        if chunk.null_count or not (pa.types.is_floating(chunk.type) or pa.types.is_integer(chunk.type)):
-            chunks.append(np.array(chunk.to_pylist(), dtype=object))
-            continue
-        dtype = np.dtype(_FLOATS.get(str(chunk.type), str(chunk.type)))
-        chunks.append(np.frombuffer(chunk.buffers()[1], dtype, count=chunk.offset + len(chunk))[chunk.offset :])
-    return np.concatenate(chunks) if chunks else np.empty(0)
 
 
 def first_line(error: BaseException) -> str:

@@ -1,5 +1,6 @@
 """Damaged files: a changed bit or a missing byte ends in the right data or in a clear line, never in other data."""
 
+import os
 import shutil
 
 import numpy as np
@@ -99,14 +100,16 @@ def test_a_checkpoint_nested_beyond_reason(tmp_path):
 
 
 def test_what_a_killed_process_left(tmp_path, rng):
-    """It is removed by the next one that writes a model there."""
-    left = tmp_path / ".quadexp-0123456789abcdef.tmp"
-    left.mkdir()
-    (left / MODEL_FILE).write_text("half")
+    """It is removed by the next one that writes a model there, a day later: until then its writer may be at work."""
+    left, young = (tmp_path / f".quadexp-{digit * 16}.tmp" for digit in "12")
+    for folder in (left, young):
+        folder.mkdir()
+        (folder / MODEL_FILE).write_text("half")
+    os.utime(left, (0, 0))
     three = lambda: rng.normal(size=3)  # noqa: E731
     model = LinearDrag(three(), three(), 0.1, three(), three(), 0.01, three(), three(), 99)
     np.testing.assert_array_equal(load_model(save_model(tmp_path / "model", model)).parameters, model.parameters)
-    assert [path.name for path in tmp_path.iterdir()] == ["model"]
+    assert {path.name for path in tmp_path.iterdir()} == {"model", young.name}
 
 
 def test_a_flight_that_is_given_twice(tmp_path, rng):

@@ -50,7 +50,8 @@ def test_into_how_many_pieces_a_column_is_cut_takes_no_part():
         whole = pa.array(values)
         cut = pa.chunked_array([whole[:0], whole[:4], whole[4:5], whole[5:]])
         moved = pa.concat_arrays([whole[:1], whole])[1:]  # begins inside its buffers
-        assert content_hash(["a"], [whole]) == content_hash(["a"], [cut]) == content_hash(["a"], [moved])
+        hashes = {content_hash(["a"], [pa.chunked_array(pieces)]) for pieces in ([whole], cut.chunks, [moved])}
+        assert len(hashes) == 1
 
 
 def test_every_difference_is_one():
@@ -61,7 +62,8 @@ def test_every_difference_is_one():
         {**base, "a": pa.array([1.0, 2.0], pa.float32())}, *({**base, "a": pa.array(x)} for x in numbers),
         {**base, "b": pa.array(["xy", "z"])}, {**base, "b": pa.array(["x", None])},
     ]  # fmt: skip
-    hashes = [content_hash(columns, columns.values()) for columns in (base, *others)]
+    tables = [{name: pa.chunked_array([array]) for name, array in columns.items()} for columns in (base, *others)]
+    hashes = [content_hash(columns, columns.values()) for columns in tables]
     assert len(set(hashes)) == len(hashes)
 
 
