@@ -17,7 +17,6 @@ os.environ["QUADEXP_CACHE"] = os.path.join(tempfile.gettempdir(), f"quadexp-test
 
 from quadexp.compile.compiler import compiler
 from quadexp.errors import QuadexpError
-from quadexp.parts import crazyflies
 from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.vehicle import Vehicle
@@ -55,7 +54,7 @@ def _skipped_where_something_lacks() -> Generator[None, None, None]:
     except QuadexpError as error:
         if compiler() is None and "no C compiler found" in str(error):
             pytest.skip("no C compiler")
-        if "numbers of the package crazyflow" in str(error) and not any(map(find_spec, crazyflies.FILES)):
+        if "numbers of the package crazyflow" in str(error) and not any(map(find_spec, ("crazyflow", "drone_models"))):
             pytest.skip("the extra `drone-models` is not installed")
         raise
 

@@ -16,9 +16,9 @@ or an entry of an option file, options/SHEET.yaml, which holds several, by group
       heavy: {meaning: 30 % more mass than assumed, actuator: first_order, truth.mass: 1.3}
 
 `of` names the option that it extends, `meaning` says in words what it is, `provenance` where its values come from; the
-rest is what a file would state. `crazyflie` reads values from an installed package (crazyflies.py). Of a bundle (world,
-remedies) a key that names a group chooses its option, and GROUP.KEY sets a value. A part of a world whose values are
-set so is an option too: truth=heavy.
+rest is what a file would state. `crazyflie` reads values from an installed package (plug-in exchange). Of a bundle
+(world, remedies) a key that names a group chooses its option, and GROUP.KEY sets a value. A part of a world whose
+values are set so is an option too: truth=heavy.
 
 A folder may come from anybody. So a file that is none (a pipe, a device) is not opened to be waited for; aliases of
 YAML (&a, *a) stand for a bounded number of values, and nothing is nested without end; `${KEY}` names a key of the
@@ -42,18 +42,19 @@ from typing import Any, NamedTuple
 from quadexp.errors import UsageError
 from quadexp.messages import MOST_NAMED, ending_in, note
 from quadexp.names import without
-from quadexp.parts.crazyflies import CRAZYFLIE, crazyflie_numbers
 from quadexp.parts.former import group_of
 from quadexp.parts.part import TARGET, Part, part_class
 from quadexp.parts.schema import BUNDLES, CHOSEN, CLASSES, PRESETS, WORLD, conf_folder
 from quadexp.parts.settings import declared
 from quadexp.parts.user_modules import import_from, plugin_folders
+from quadexp.plugin import service
 from quadexp.provenance import content_hash
 
 OPTION_FILES = "options"  # folder of the option files, in a folder of configuration
 NOTHING = "nothing"  # the option file of the options that do nothing, for each of which `none` stands
 ABOUT = ("of", "meaning", "provenance")  # keys of an entry that set nothing
 LOOK = "look"  # key of an option that says how it is drawn; its part has no such key
+CRAZYFLIE = "crazyflie"  # key of an option whose numbers are those of a package; see the service `crazyflie_numbers`
 CITE = "cite"  # key of an option that names its papers: of conf/references.bib, of a folder's own, or in words
 GLOBAL = ("experiment", *BUNDLES)  # groups whose options set values of the whole configuration
 Place = str | os.PathLike[str]
@@ -209,7 +210,10 @@ class OptionFiles:
         definition = min(usable, key=lambda each: bool(extending) and each.place < extending[-1].place)
         content = without(definition.content, (LOOK, CITE, CRAZYFLIE))
         drone = definition.content.get(CRAZYFLIE)
-        return definition, content if drone is None else crazyflie_numbers(group, str(drone)) | content
+        if drone is None:
+            return definition, content
+        numbers = service("crazyflie_numbers", f"{group}={name}")(group, str(drone))
+        return definition, numbers | content
 
     def _read_option(self, group: str, name: str, extending: tuple[Definition, ...]) -> Option:
         """extending: the options that led here."""

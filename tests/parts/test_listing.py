@@ -5,13 +5,13 @@ from types import SimpleNamespace
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.parts import crazyflies
 from quadexp.parts.compose import compose
 from quadexp.parts.listing import candidates, key_words, listed
 from quadexp.parts.options import OptionFiles, groups
 from quadexp.parts.schema import CLASSES, PARTS, PRESETS
 from quadexp.parts.settings import plain
 from quadexp.plugins.bench.commands import _controllers
+from quadexp.plugins.exchange import crazyflies
 
 
 def keys(option):

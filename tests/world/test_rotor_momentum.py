@@ -10,10 +10,10 @@ import pytest
 
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_plant, build_vehicle, unshared
-from quadexp.parts import crazyflies
 from quadexp.parts.compose import compose
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, RATE
+from quadexp.plugins.exchange import crazyflies
 from quadexp.plugins.foreign.drone_models import derivative
 from quadexp.world.actuator import Actuator
 from quadexp.world.true_vehicle import TrueVehicle

@@ -22,5 +22,8 @@ BRINGS = {
         "casadi": f"{_HERE}.equations:CASADI",
         "c": f"{_HERE}.equations:C",
     },
-    "services": {"vehicle_of_file": f"{_HERE}.vehicles:vehicle_keys"},
+    "services": {
+        "vehicle_of_file": f"{_HERE}.vehicles:vehicle_keys",
+        "crazyflie_numbers": f"{_HERE}.crazyflies:crazyflie_numbers",
+    },
 }

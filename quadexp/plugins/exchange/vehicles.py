@@ -1,6 +1,6 @@
 """A vehicle from the parameter file of another program: crazyflow (TOML), RotorPy (Python).
 
-    crazyflow   a section of first_principles/params.toml, as quadexp.parts.crazyflies reads it; rate_max: not there
+    crazyflow   a section of first_principles/params.toml, as crazyflies.py reads it; rate_max: not there
     RotorPy     quad_params: k = k_eta, c_tau = k_m / k_eta, T_max = k_eta rotor_speed_max^2, the rest by name
 
 A RotorPy file is Python and is run, as RotorPy itself runs it.
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.errors import UsageError
-from quadexp.parts.crazyflies import vehicle_of
+from quadexp.plugins.exchange.crazyflies import vehicle_of
 from quadexp.plugins.exchange.simulators import MOMENTS, plain
 
 PARAMETERS = "quad_params"

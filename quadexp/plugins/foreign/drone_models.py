@@ -15,7 +15,7 @@ r_i, s_i, m, J and the limits of u_i are the vehicle's; a rotor turns against it
 So the torque of the rotors as gyroscopes is J_p [w_y N, -w_x N, N']; in hover N is zero. (drone-models 0.1 has -w_y N
 in the first row; crazyflow 0.4 has the law.)
 
-crazyflow: MIT licence, University of Toronto (utiasDSL/crazyflow). Where its numbers are read: parts/crazyflies.py.
+crazyflow: MIT licence, University of Toronto (utiasDSL/crazyflow). Its numbers are read by exchange/crazyflies.py.
 """
 
 from __future__ import annotations

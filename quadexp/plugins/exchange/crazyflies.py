@@ -17,7 +17,6 @@ import numpy as np
 
 from quadexp.errors import UsageError
 
-CRAZYFLIE = "crazyflie"
 RPM = math.pi / 30  # rad/s
 GRAVITY = 9.81  # m/s^2, which both packages have
 DIGITS = 14  # of coefficients that are computed from a curve, in hover
