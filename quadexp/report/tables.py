@@ -8,7 +8,7 @@ The table of flights has any columns of the results and any keys, for the termin
 
 <results>/statistics.parquet, .csv    every metric, long
 <results>/table.md, .tex              one metric: the error table, and in table.md the comparisons
-<results>/table.tex, comparison.tex   fit a column or a page of the IEEE (fitted.py)
+<results>/table.tex, comparison.tex   the same in LaTeX, fitted to a page by the service `paper_texts`
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,7 @@ from quadexp.log.store import read_table, read_text, write_table
 from quadexp.names import distinct
 from quadexp.parts.cells import OPTION
 from quadexp.parts.schema import of_contestant
-from quadexp.report.fitted import WIDTHS, fitted_latex, tabulars
+from quadexp.plugin import brought
 from quadexp.report.frame import SweepFrame, is_metric, is_number, setting_column, setting_text, with_unit
 from quadexp.report.metrics import metric_of
 from quadexp.report.notes import notes as row_notes
@@ -42,7 +41,6 @@ from quadexp.report.pairing import (
     is_invalid,
     setting_pairs,
 )  # fmt: skip
-from quadexp.report.paper_cells import Intervals, compact_cell
 from quadexp.report.significance import Tests
 from quadexp.report.statistics import CONFIDENCE, KINDS, Statistic, Statistics, of_lines, pooled
 from quadexp.report.table import Table, csv_text
@@ -186,25 +184,17 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
 def comparison_texts(statistics: Statistics, metric: str) -> tuple[Table, dict[str, str]]:
     """The error table of one metric, and name -> content of the text files made of the statistics."""
     table = error_table(statistics.flights, metric, baseline=statistics.baseline, confidence=statistics.confidence)
+    comparison = comparison_table(statistics.of(metric))
     files = {"table.md": table.markdown(), "statistics.csv": statistics.csv}
-    files["table.tex"] = _for_a_paper(statistics, metric)
-    if (comparison := comparison_table(statistics.of(metric))) is not None:
+    if comparison is not None:
         files["table.md"] += f"\n{comparison.markdown()}"
-        files["comparison.tex"] = fitted_latex(replace(comparison, beside=3), WIDTHS["page"])
-    return table, files
+    latex: Callable[..., dict[str, str]] = brought("services", "paper_texts") or _latex_texts
+    return table, files | latex(statistics, metric, table, comparison)
 
 
-def _for_a_paper(statistics: Statistics, metric: str) -> str:
-    """The error table as one tabular in a column, or a page, without intervals where it takes that; else as several."""
-    choices: tuple[tuple[str, Intervals], ...] = (("column", "brackets"), ("page", "brackets"), ("page", "none"))
-    for width, intervals in choices:
-        cell = compact_cell(intervals)
-        options: dict[str, Any] = {"baseline": statistics.baseline, "confidence": statistics.confidence}
-        table = error_table(statistics.flights, metric, **options, cell=cell)
-        table = replace(table, rows=table.rows[table.head :], head=0)  # cells say how many were completed
-        if len(tabulars(table, WIDTHS[width])) == 1:
-            break
-    return fitted_latex(table, WIDTHS[width])
+def _latex_texts(statistics: Statistics, metric: str, table: Table, comparison: Table | None) -> dict[str, str]:
+    """The tables in LaTeX as they are, where no plug-in fits them to a page."""
+    return {"table.tex": table.latex()} | ({} if comparison is None else {"comparison.tex": comparison.latex()})
 
 
 def write_comparison(root: Path, statistics: Statistics, texts: Mapping[str, str]) -> dict[str, str]:

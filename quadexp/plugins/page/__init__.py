@@ -9,6 +9,7 @@ BRINGS = {
         "animate": "quadexp.plugins.page.commands:animate",
     },
     "services": {
+        "paper_texts": "quadexp.plugins.page.sweep_latex:paper_texts",
         "view": "quadexp.plugins.page.view:view",
         "figure_of": "quadexp.plugins.page.draw:figure_of",
         "flights_figure": "quadexp.plugins.page.flight_figures:flights_figure",

@@ -30,10 +30,10 @@ from quadexp.log.store import read_flight
 from quadexp.names import named
 from quadexp.plugins.page.compare import names_of
 from quadexp.plugins.page.document import sortable_page
+from quadexp.plugins.page.paper_cells import Point
 from quadexp.plugins.page.view import SUCCESS, Axis, Place, View, value_text, view
 from quadexp.report.frame import SweepFrame, read_results, unit_of
 from quadexp.report.pairing import SOURCE
-from quadexp.report.paper_cells import Point
 from quadexp.report.style import (
     ERROR_COLOURS,
     PLAIN,

@@ -19,11 +19,11 @@ from quadexp.errors import UsageError
 from quadexp.messages import suggestion
 from quadexp.names import distinct
 from quadexp.parts.schema import of_contestant
+from quadexp.plugins.page.paper_cells import Intervals, cell_text, compact_cell
 from quadexp.plugins.page.view import FLOWN, SUCCESS, Place, checked_keys, points, value_text
 from quadexp.report.frame import SweepFrame, setting_text, with_unit
 from quadexp.report.metrics import metric_of
 from quadexp.report.pairing import condition_of, contestant_of, grouped
-from quadexp.report.paper_cells import Intervals, cell_text, compact_cell
 from quadexp.report.statistics import Statistic, compute_statistics
 from quadexp.report.table import Table
 from quadexp.report.tables import error_table

@@ -40,9 +40,9 @@ def table(
     quadexp table results/x --rows trajectory,speed --columns controller --intervals pm --digits 3 --out table.tex
     quadexp table results/x --metric rmse --label gp_mpc="GP (ours)" --width page --out table.md
     """
+    from quadexp.plugins.page.fitted import WIDTHS, fitted_latex
     from quadexp.plugins.page.paper_table import paper_table
     from quadexp.plugins.page.view import SUCCESS
-    from quadexp.report.fitted import WIDTHS, fitted_latex
     from quadexp.report.frame import SweepFrame, chosen, is_metric
 
     names = dict(text.partition("=")[::2] for text in label)

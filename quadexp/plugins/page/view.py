@@ -33,11 +33,11 @@ from quadexp.messages import suggestion
 from quadexp.names import distinct
 from quadexp.parts.cells import OPTION
 from quadexp.parts.schema import of_contestant
+from quadexp.plugins.page.paper_cells import Point
 from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, setting_text, with_unit
 from quadexp.report.inference import mean_interval, success_interval
 from quadexp.report.metrics import metric_of
 from quadexp.report.pairing import common, grouped, is_flown, is_invalid, seed_means
-from quadexp.report.paper_cells import Point
 from quadexp.report.text import count, listed, plain
 from quadexp.report.text import shown as unit_shown
 

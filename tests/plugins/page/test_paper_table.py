@@ -11,10 +11,10 @@ from matplotlib.font_manager import FontProperties, findfont
 from matplotlib.ft2font import FT2Font
 
 from quadexp.errors import UsageError
+from quadexp.plugins.page.fitted import GAP, MOST_LINES, WIDTHS, fitted_latex, tabulars, text_width
+from quadexp.plugins.page.paper_cells import number_text
 from quadexp.plugins.page.paper_table import paper_table
-from quadexp.report.fitted import GAP, MOST_LINES, WIDTHS, fitted_latex, tabulars, text_width
 from quadexp.report.frame import SweepFrame
-from quadexp.report.paper_cells import number_text
 from quadexp.report.statistics import results_statistics
 from quadexp.report.table import Table
 from quadexp.report.tables import comparison_texts
