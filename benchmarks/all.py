@@ -37,8 +37,8 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.parts.compose import compose, session
-from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.blade_element import static_coefficients
 from quadexp.plugins.papers.lei_li.plant import BladeElementPlant
 from quadexp.reference.circle import Circle
 from quadexp.reference.random_polynomial import RandomPolynomial

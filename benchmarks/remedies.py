@@ -30,10 +30,10 @@ from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle, build_world
 from quadexp.loop import ControlLoop
-from quadexp.models.terms import adapting_terms
 from quadexp.parts.compose import compose
 from quadexp.parts.sensor_spec import SensorSpec
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.terms import adapting_terms
 from quadexp.plugins.auto.around_mpc import AutoMPC
 from quadexp.plugins.remedies.delay.prediction import Prediction
 from quadexp.plugins.remedies.delay.strapdown import KnownDelay, Strapdown

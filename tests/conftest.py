@@ -17,9 +17,9 @@ os.environ["QUADEXP_CACHE"] = os.path.join(tempfile.gettempdir(), f"quadexp-test
 
 from quadexp.compile.compiler import compiler
 from quadexp.errors import QuadexpError
-from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.blade_element import static_coefficients
 from tests import composing  # noqa: F401 - before any test binds what it replaces
 
 gc.set_threshold(200_000, 20, 100)  # looking for cycles was a tenth of the tests' work

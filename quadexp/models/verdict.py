@@ -26,20 +26,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.models.base import AXIS, Callback, Model, ModelPart, Prediction, outside_shares, quiet, rms
-from quadexp.models.common_scale import has_thrust_scale, with_common_scale
+from quadexp.models.common_scale import has_thrust_scale
 from quadexp.models.dataset import DT_RANGE, ResidualDataset
-from quadexp.models.drag_choice import chosen_drag, compare_drag, drag_line
 from quadexp.models.linear_drag import LinearDrag, baseline
 from quadexp.models.regression import LEAST_FLIGHTS, between_flights
-from quadexp.models.terms import MEANS, fit_term_mean
 from quadexp.physics.state import root_mean_square
+from quadexp.plugin import brought
 
 Row = dict[str, Any]
 ACCELERATION = list(AXIS)
@@ -198,9 +196,8 @@ def noise_floor(residuals: Sequence[np.ndarray], dataset: ResidualDataset) -> fl
 
 def verdict(model: Model, train: ResidualDataset, test: ResidualDataset) -> dict[str, Any]:
     """Comparison that `fit` reports, JSON-able: flights (held out), of (how many), duration of these (s), outputs
-    {a_x: {...}}, beside [...]: the model's rivals, and, for recorded flights, identified [...]: the same for the terms
-    of `quadexp identify`, fitted to the same rows, and air: which of these is taken (drag_choice). model: fitted to
-    train."""
+    {a_x: {...}}, beside [...]: the model's rivals; for recorded flights also what the service `recorded_verdict` finds.
+    model: fitted to train."""
     flight, target = np.asarray(test.columns["flight"]), test.matrix(ACCELERATION)
     of_drag, predictions = target - baseline(train, intervals=False).acceleration(test), model.predict(test)
     of_model = of_drag.copy()
@@ -221,23 +218,8 @@ def verdict(model: Model, train: ResidualDataset, test: ResidualDataset) -> dict
         error = target - acceleration(test)
         row = {"model": name, "rms": rms(error), "this": rms(of_model)}
         report["beside"].append(row | paired_ratio(of_model, error, flight).record())
-    if not has_thrust_scale(train):
-        return report
-    together = {name: np.concatenate([train.columns[name], test.columns[name]]) for name in train.columns}
-    order = np.argsort(together["flight"], kind="stable")
-    every = ResidualDataset({name: column[order] for name, column in together.items()}, train.metadata)
-    report["air"] = compare_drag(every)
-    others = {"linear drag": of_drag}
-    for kind in MEANS:
-        with suppress(DataError):
-            terms = fit_term_mean(with_common_scale(train).dataset, kind)
-            others[kind.replace("_", " ")] = target - terms.acceleration(test)
-    report["identified"] = [
-        {"model": name, "rms": rms(error), "share": rms(error) / rms(target)}
-        | ({} if error is of_model else paired_ratio(of_model, error, flight).record())
-        for name, error in ({"this fit": of_model} | others).items()
-    ]
-    return report
+    recorded = brought("services", "recorded_verdict") if has_thrust_scale(train) else None
+    return report if recorded is None else report | recorded.compared(train, test, of_model, of_drag)
 
 
 def verdict_lines(report: dict[str, Any]) -> list[str]:
@@ -259,29 +241,8 @@ def verdict_lines(report: dict[str, Any]) -> list[str]:
     for row in report.get("beside", []):
         ratio = f"{row['this']:.3g} m/s^2 for {row['rms']:.3g}, ratio {row['text']}"
         lines.append(f"  all axes, beside {row['model']}: {ratio}")
-    if not report.get("identified"):
-        return lines
-    fit, *others = report["identified"]
-    air = report.get("air", [])  # not in reports of earlier versions
-    taken = chosen_drag(air)
-    by_name = {row["model"].removesuffix(" drag").replace(" ", "_"): row for row in others}
-    best = by_name.get(taken or "", min(others, key=lambda row: row["rms"]))
-    if air:
-        lines.append(f"  {drag_line(air)}")
-    text = ", ".join(f"{row['model']} {100 * row['share']:.1f} %" for row in report["identified"])
-    lines.append(f"  error on the held-out flights relative to the thrust curve alone: {text}")
-    beside = f"every model of `quadexp identify` ({best['text']} of {best['model']})"
-    if best["rms"] < fit["rms"]:
-        lines.append(
-            f"  USE {best['model'].upper()} of `quadexp identify`, not this fit: its error is"
-            f" {100 * best['share']:.1f} %, that of this fit {100 * fit['share']:.1f} %"
-        )
-    elif best["verdict"] == "better":
-        lines.append(f"  this fit has a smaller error than {beside}")
-    else:
-        name = f"{best['model']} of `quadexp identify` ({best['text']})"
-        lines.append(f"  not shown to be better than {name}, the simpler model")
-    return lines
+    recorded = brought("services", "recorded_verdict") if report.get("identified") else None
+    return lines if recorded is None else lines + recorded.lines(report)
 
 
 def _more_lines(report: Mapping[str, Any]) -> list[str]:

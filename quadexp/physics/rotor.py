@@ -1,6 +1,6 @@
 """Parameters of a rotor in blade-element theory: geometry, air, and the coefficients to be identified.
 
-Source: Lei & Li 2017, sections 2 and 3. Equations: quadexp.physics.blade_element.
+Source: Lei & Li 2017, sections 2 and 3. Equations: quadexp.plugins.aerodynamics.blade_element.
 """
 
 from __future__ import annotations

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
 from quadexp.models.dataset import ResidualDataset, residual_dataset, transitions
-from quadexp.models.terms import fit_term_mean
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.terms import fit_term_mean
 
 VEHICLE = Vehicle(
     name="test",

@@ -10,7 +10,7 @@ MECHANICS = (
     "tests/properties/test_integrators.py",
     "tests/properties/test_symmetry.py",
 )
-AIR = ("tests/physics/test_blade_element.py", "tests/properties/test_blade_limits.py")
+AIR = ("tests/plugins/aerodynamics/test_blade_element.py", "tests/properties/test_blade_limits.py")
 STEP = (
     "tests/control/mpc/test_riccati.py",
     "tests/control/mpc/test_step.py",
@@ -27,7 +27,8 @@ DELAYS = (
     "tests/plugins/remedies/test_delay_remedies.py",
 )
 RESIDUAL = (
-    "tests/models/test_residuals.py", "tests/plugins/papers/test_blade_residual.py", "tests/models/test_terms.py",
+    "tests/models/test_residuals.py", "tests/plugins/papers/test_blade_residual.py",
+    "tests/plugins/aerodynamics/test_terms.py",
     "tests/properties/test_jacobians.py", "tests/plugins/papers/test_plant.py",
 )  # fmt: skip
 
@@ -40,8 +41,8 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/physics/sensitivity.py": JACOBIANS,
     "quadexp/physics/drag.py": (*RESIDUAL, "tests/world/test_simplified.py"),
     "quadexp/physics/motor.py": ("tests/physics/test_motor.py", *RESIDUAL, "tests/world/test_simplified.py"),
-    "quadexp/physics/blade_element.py": AIR,
-    "quadexp/physics/induced_velocity.py": ("tests/physics/test_induced_velocity.py", *AIR),
+    "quadexp/plugins/aerodynamics/blade_element.py": AIR,
+    "quadexp/plugins/aerodynamics/induced_velocity.py": ("tests/plugins/aerodynamics/test_induced_velocity.py", *AIR),
     "quadexp/world/simplified.py": (
         "tests/models/test_residuals.py",
         "tests/world/test_simplified.py",
@@ -64,7 +65,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/plugins/neural/neural_*.c": ("tests/models/test_residuals.py", "tests/plugins/neural/test_neural.py"),
     "quadexp/models/residual.py": RESIDUAL,
     "quadexp/plugins/identification/inflow.py": RESIDUAL,
-    "quadexp/models/terms.py": RESIDUAL,
+    "quadexp/plugins/aerodynamics/terms.py": RESIDUAL,
     "quadexp/models/linear_drag.py": (*RESIDUAL, "tests/models/test_linear_drag.py"),
     "quadexp/plugins/gaussian_process/gaussian_process.py": (
         *RESIDUAL,

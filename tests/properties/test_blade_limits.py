@@ -9,13 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from quadexp.errors import ModelDomainError
-from quadexp.physics.blade_element import blade_forces, body_drag, motor_coefficients, static_coefficients
 from quadexp.physics.drag import linear_drag_force, quadratic_drag_force
-from quadexp.physics.induced_velocity import balance, starting_point
 from quadexp.physics.motor import thrust_loss
+from quadexp.plugins.aerodynamics.blade_element import blade_forces, body_drag, motor_coefficients, static_coefficients
+from quadexp.plugins.aerodynamics.induced_velocity import balance, starting_point
 from quadexp.plugins.papers.lei_li.blade_element import blade_element_residual
 from quadexp.plugins.papers.lei_li.plant import BladeElementPlant
-from tests.physics.aerodynamic_point import aerodynamic_point
+from tests.plugins.aerodynamics.aerodynamic_point import aerodynamic_point
 from tests.properties.strategies import few, generators, make_blade, make_thrusts, vehicles
 
 flat_vehicles = vehicles(flat=True)

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.rotor import BladeCoefficients
+from quadexp.plugins.aerodynamics.blade_element import static_coefficients
 from quadexp.plugins.gaussian_process.gaussian_process import gaussian_process_residual, mean_only
 from quadexp.plugins.papers.lei_li.rls import AXES, BladeElementRLS, RLSSettings
 from tests.models.batch import batch_least_squares
-from tests.physics.aerodynamic_point import aerodynamic_point
+from tests.plugins.aerodynamics.aerodynamic_point import aerodynamic_point
 from tests.properties.strategies import GP_FEATURES, few, generators, make_blade, make_features, make_thrusts, vehicles
 
 NAMES = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")

@@ -26,13 +26,13 @@ from quadexp.errors import UsageError
 from quadexp.models.build_context import BuildContext
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.settings import Triple, key, keyed
-from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression, limited, symbols
 from quadexp.physics.motor import lagging_rk4_step, lagging_thrust
 from quadexp.physics.rigid_body import body_features, state_derivative
 from quadexp.physics.rotation import along_z, with_unit_attitude
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.blade_element import TINY_SPEED
 from quadexp.world.base import PlantPart
 from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, RotorSpeedPlant
 

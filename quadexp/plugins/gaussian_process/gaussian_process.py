@@ -16,7 +16,7 @@ mean squared error. q is quadratic drag, c_0 + c_1 v_i + c_2 v_i |v_i| (+ c_3 th
 GP's own points, where m is no drag model that was fitted (terms) and the features are these; else q = 0.
 
 Kernel: Torrente et al. 2021, eq. 8; posterior: Titsias 2009, eqs 6 and 10; the fit: sgpr.py. The prior mean
-is linear drag, a sum of identified terms (quadexp.models.terms), a constant, or zero.
+is linear drag, a sum of identified terms (quadexp.plugins.aerodynamics.terms), a constant, or zero.
 
 The residual is written in matrix operations with the analytic derivative; the cost is linear in the number of points.
 Points and weights are parameters, so fits of the same size share one function. With s = 1 / (sqrt(2) l) the code
@@ -71,10 +71,10 @@ from quadexp.models.residual import (
     feature_places,
     residual_function,
 )
-from quadexp.models.terms import MEANS, TermMean, TermStructure, fit_term_mean
 from quadexp.parts.settings import SEEDS, Setting, Settings, key, keyed, lists, made
 from quadexp.physics.expression import Expression, split, symbols
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.terms import MEANS, TermMean, TermStructure, fit_term_mean
 
 LIBRARIES = ("numpy", "scipy", "torch", "gpytorch")  # that a fit depends on
 CHUNK = 4096  # rows predicted at a time, to limit memory

@@ -23,10 +23,10 @@ from quadexp.log import store
 from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import save_model
 from quadexp.models.dataset import WIND, ResidualDataset, by_axis
-from quadexp.models.drag_choice import chosen_drag, compare_drag
 from quadexp.models.residual import THRUST, VELOCITY
 from quadexp.parts.options import Folders
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.drag_choice import chosen_drag, compare_drag
 from quadexp.plugins.identification.inflow import momentum_of
 from quadexp.plugins.identification.recorded import read_recorded
 from quadexp.plugins.identification.thrust_curve import ThrustCurve, fit_thrust_samples

@@ -1,7 +1,7 @@
 """The blade-element terms along z, fitted together with the induced velocity that they cause.
 
 V_k follows from momentum theory (17) at the rotor's thrust, kappa V sqrt(V_h^2 + u^2) = T/m, kappa = 2 rho pi r^2/m,
-which takes the rotor's radius. T is the model's own thrust, so along z (symbols of quadexp.models.terms)
+which takes the rotor's radius. T is the model's own thrust, so along z (symbols of quadexp.plugins.aerodynamics.terms)
 
     f(theta) = sum_k a_k scale - loss sum_k w_k y_k(theta) + advance n V_h^2 - body v_z ||v||
 
@@ -21,10 +21,10 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError
 from quadexp.models.dataset import evaluate_rows
-from quadexp.models.terms import ITERATIONS, TERMS, Z_TERMS, Inflow, OperatingPoint
 from quadexp.physics.expression import symbols
-from quadexp.physics.induced_velocity import safe_newton
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.induced_velocity import safe_newton
+from quadexp.plugins.aerodynamics.terms import ITERATIONS, TERMS, Z_TERMS, Inflow, OperatingPoint
 
 AIR_DENSITY = 1.2  # kg/m^3, where the vehicle does not state one
 START = (0.0, 0.1, 0.0, 0.0)  # scale, loss, advance, body

@@ -9,9 +9,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from quadexp.models.drag_choice import drag_line
 from quadexp.models.regression import FLIGHT_CLUSTERS, LEAST_FLIGHTS
 from quadexp.names import distinct
+from quadexp.plugins.aerodynamics.drag_choice import drag_line
 from quadexp.plugins.identification.vehicle_numbers import number_lines
 from quadexp.report.table import Table
 

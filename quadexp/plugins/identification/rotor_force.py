@@ -2,7 +2,7 @@
 
     a = a_mean(v, u) + W(z) g(z),      z = (v, w, u_1 .. u_n)                        body FLU, m/s^2
 
-a_mean: the blade element with lumped coefficients (quadexp.models.terms: thrust with the square of the rotor speed,
+a_mean: the blade element with lumped coefficients (aerodynamics/terms.py: thrust with the square of the rotor speed,
 hub force with their sum, translational lift, drag along z), with the induced velocity where the rotors' radius is given
 (model.rotor_radius). g: one process an axis, mean zero, of velocity, body rates and every rotor's thrust, which stands
 for its speed: u = k w^2. Fitted where the thrusts are of rotor speeds. Otherwise the mean alone is the model: features
@@ -30,10 +30,10 @@ from quadexp.models.common_scale import with_common_scale
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag, baseline
 from quadexp.models.residual import FEATURES, VELOCITY, Residual, feature_names, feature_places, residual_function
-from quadexp.models.terms import SELF_CONSISTENT, TermMean, fit_term_mean, fit_terms, term_residual
 from quadexp.parts.settings import SEEDS, key, keyed
 from quadexp.physics.expression import Expression, split, symbols
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.terms import SELF_CONSISTENT, TermMean, fit_term_mean, fit_terms, term_residual
 from quadexp.plugins.gaussian_process.gaussian_process import (
     GaussianProcessModel,
     GPConfig,

@@ -40,13 +40,13 @@ from quadexp.models.checkpoint import record_of
 from quadexp.models.dataset import feature_rows
 from quadexp.models.regression import between_flights
 from quadexp.models.residual import AXES
-from quadexp.models.terms import TermModel
 from quadexp.physics.expression import symbols
 from quadexp.physics.integrator import rk4_step
 from quadexp.physics.rigid_body import state_derivative
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY, norms, root_mean_square
 from quadexp.physics.vehicle import GRAVITY, Vehicle
+from quadexp.plugins.aerodynamics.terms import TermModel
 from quadexp.plugins.identification.recorded import tracked_scale
 from quadexp.plugins.identification.thrust_curve import ThrustCurve
 from quadexp.plugins.identification.vehicle_model import VehicleModel

@@ -28,7 +28,9 @@ from quadexp.models.base import Model, Prediction, feature_ranges, rms
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag
 from quadexp.models.residual import AXES, VELOCITY, Residual
-from quadexp.models.terms import (
+from quadexp.names import named
+from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.terms import (
     LINEAR,
     QUADRATIC,
     SELF_CONSISTENT,
@@ -40,8 +42,6 @@ from quadexp.models.terms import (
     fit_terms,
     term_residual,
 )
-from quadexp.names import named
-from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.inflow import fit_inflow, momentum_of
 from quadexp.plugins.identification.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples, thrust_columns
 from quadexp.plugins.identification.torque_gain import TorqueGain

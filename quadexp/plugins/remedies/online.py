@@ -7,7 +7,7 @@ of the weights. Everything in flight is done with b: its prior is the same for a
 updates are relative to the prior.
 
     linear_drag        a = (drag, intercept), z also the thrust gain; R diagonal
-    terms              a = the coefficients of drag and thrust terms (quadexp.models.terms), from zero; R diagonal
+    terms              a = the coefficients of drag and thrust terms (aerodynamics/terms.py), from zero; R diagonal
     neural             a = a row of the last layer and its bias: the network's last hidden layer is phi
     gaussian_process   a = alpha. With K = k(Z, Z) of unit variance and prior standard deviation s, a priori
                        f(Z) ~ N(., s^2 K), so R = s L^-T with L L' = K: b = L^-1 f(Z) / s

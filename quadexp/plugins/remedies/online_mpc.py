@@ -196,7 +196,7 @@ class OnlineMPC(PredictivePart):
 
     def build(self, context: BuildContext) -> Any:
         """See ControllerPart."""
-        from quadexp.models.terms import adapting_terms
+        from quadexp.plugins.aerodynamics.terms import adapting_terms
         from quadexp.plugins.remedies.online import from_zero
 
         *others, last = self.residual

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.drag_choice import chosen_drag
 from quadexp.models.linear_drag import DragConfig
 from quadexp.models.verdict import split_by_flight, verdict
 from quadexp.physics.vehicle import GRAVITY
+from quadexp.plugins.aerodynamics.drag_choice import chosen_drag
 from quadexp.plugins.identification.identify import identify_vehicle
 from quadexp.plugins.identification.recorded import recorded_dataset
 from quadexp.plugins.identification.vehicle_model import FitSettings, flight_by_flight

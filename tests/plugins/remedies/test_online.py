@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.compile.backend import BufferedFunction, compiler, realise
 from quadexp.models.linear_drag import adapting_drag, linear_drag_acceleration, linear_drag_residual
-from quadexp.models.terms import adapting_terms
+from quadexp.plugins.aerodynamics.terms import adapting_terms
 from quadexp.plugins.gaussian_process.gaussian_process import (
     JITTER,
     adapting_process,

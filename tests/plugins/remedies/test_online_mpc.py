@@ -15,9 +15,9 @@ from quadexp.experiment.identity import find_model
 from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.models.linear_drag import adapting_drag, linear_drag_residual
 from quadexp.models.residual import sum_residual
-from quadexp.models.terms import adapting_terms
 from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, STATE_COLUMNS
+from quadexp.plugins.aerodynamics.terms import adapting_terms
 from quadexp.plugins.remedies.online_mpc import AdaptingController, AdaptKeys
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover

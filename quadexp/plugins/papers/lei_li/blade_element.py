@@ -2,7 +2,7 @@
 
 The residual has the forces and torques of rotors and airframe minus those of the nominal rigid body,
 
-    y = [F / m - (0, 0, sum u) / m_nominal,  Gamma - G u]        F, Gamma: quadexp.physics.blade_element, (4)-(17)
+    y = [F / m - (0, 0, sum u) / m_nominal,  Gamma - G u]        F, Gamma: aerodynamics/blade_element.py, (4)-(17)
 
 The command u (N) is a static thrust, so w = sqrt(u / k_T,static); at V = 0 with the true coefficients y is zero. The
 induced velocity is computed by a few Newton steps at every evaluation: held constant over a horizon it would be wrong
@@ -50,13 +50,19 @@ from quadexp.log.schema import Flight
 from quadexp.models.regression import LEAST_BLOCKS, half_width, over_blocks
 from quadexp.models.residual import AXES, Residual, feature_names, symbolic_residual
 from quadexp.names import named
-from quadexp.physics.blade_element import ADOPTED, CrossTerms, aerodynamic_wrench, rotor_flow, static_rotor_speed
 from quadexp.physics.expression import Expression, symbols
-from quadexp.physics.induced_velocity import balance, newton, safe_newton, starting_point
 from quadexp.physics.rotation import along_z
 from quadexp.physics.rotor import C_LA, IDLE_SPEED, THETA, BladeCoefficients
 from quadexp.physics.state import STATE_COLUMNS, root_mean_square
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.blade_element import (
+    ADOPTED,
+    CrossTerms,
+    aerodynamic_wrench,
+    rotor_flow,
+    static_rotor_speed,
+)
+from quadexp.plugins.aerodynamics.induced_velocity import balance, newton, safe_newton, starting_point
 from quadexp.plugins.logs.samples import READINGS, check_columns
 from quadexp.plugins.papers.lei_li.rls import ITERATIONS as SAFE_ITERATIONS
 from quadexp.plugins.papers.lei_li.rls import SLOWEST, BladeElementRLS, RLSSettings

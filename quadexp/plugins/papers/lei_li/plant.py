@@ -1,7 +1,7 @@
 """Lei & Li's plant: a rigid body under blade-element rotors and body drag (Lei & Li 2017, equations 1-17).
 
     w_i = sqrt(u_i / k_T,static)                     commanded static thrusts u become rotor speeds
-    v'  = R F / M + g,   M = m + payload             F, Gamma: quadexp.physics.blade_element, V_I solved at every step
+    v'  = R F / M + g,   M = m + payload             F, Gamma: aerodynamics/blade_element.py, V_I of every step
     J w' = Gamma - w x J w
 
 Integrated by Euler's method at 1e-4 s, as in the paper, or by RK4. The state is that of physics/state.py; the induced
@@ -33,7 +33,12 @@ from quadexp.errors import ModelDomainError, UsageError
 from quadexp.models.build_context import BuildContext
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.settings import REQUIRED, Settings, key, keyed, part
-from quadexp.physics.blade_element import (
+from quadexp.physics.expression import Expression, limited, symbols
+from quadexp.physics.rigid_body import body_features, state_derivative
+from quadexp.physics.rotor import C_D0, C_LA, IDLE_SPEED, STANDING, THETA, BladeCoefficients, BladeKeys
+from quadexp.physics.state import N_STATE
+from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.blade_element import (
     ADOPTED,
     PRINTED,
     CrossTerms,
@@ -41,8 +46,7 @@ from quadexp.physics.blade_element import (
     rotor_flow,
     static_coefficients,
 )
-from quadexp.physics.expression import Expression, limited, symbols
-from quadexp.physics.induced_velocity import (
+from quadexp.plugins.aerodynamics.induced_velocity import (
     REASONS,
     Balance,
     Defined,
@@ -51,10 +55,6 @@ from quadexp.physics.induced_velocity import (
     solution_function,
     starting_point,
 )
-from quadexp.physics.rigid_body import body_features, state_derivative
-from quadexp.physics.rotor import C_D0, C_LA, IDLE_SPEED, STANDING, THETA, BladeCoefficients, BladeKeys
-from quadexp.physics.state import N_STATE
-from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.papers.lei_li.blade_element import blade_element_correction
 from quadexp.world.base import PlantPart
 from quadexp.world.integrator import STEP_INPUTS, Equations, RotorSpeedPlant, integrate

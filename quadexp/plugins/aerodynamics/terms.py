@@ -26,8 +26,8 @@ rotors); without them bias times mean velocity biases d. Along z the thrust take
 with the thrust curve (quadexp.plugins.identification.thrust_curve), and the quadratic pair together with a correction
 of the curve's scale, the term `thrust`.
 
-SELF_CONSISTENT is the blade-element model of rotors whose geometry is unknown. From quadexp.physics.blade_element (Lei
-& Li 2017, equations 9, 10, 14, 15), with s = N_b rho c / 2, climb v_z = -V_z, flow through the rotor u_k = V_k + v_z,
+SELF_CONSISTENT is the blade-element model of rotors whose geometry is unknown. From blade_element.py (Lei & Li 2017,
+equations 9, 10, 14, 15), with s = N_b rho c / 2, climb v_z = -V_z, flow through the rotor u_k = V_k + v_z,
 and the airframe's drag (6), the specific force is
 
     f_z     = (s C_la / m) [ r^3 th/3 sum w^2 + A r th n V_h^2 - r^2/2 sum w (V + v_z) ] - rho S C_Dz/(2m) ||v|| v_z
@@ -76,11 +76,11 @@ from quadexp.models.base import Positive, Record, Rotors, Three
 from quadexp.models.dataset import ResidualDataset, evaluate_rows
 from quadexp.models.regression import Regression, half_width, regress
 from quadexp.models.residual import AXES, VELOCITY, Residual, feature_names, symbolic_residual
-from quadexp.physics.blade_element import TINY_SPEED
 from quadexp.physics.expression import Expression, symbols
-from quadexp.physics.induced_velocity import Balance, safe_newton
 from quadexp.physics.state import root_mean_square
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.blade_element import TINY_SPEED
+from quadexp.plugins.aerodynamics.induced_velocity import Balance, safe_newton
 
 Axes = tuple[tuple[str, ...], ...]  # names of the terms, per axis
 Momentum = float | tuple[float, ...]  # kappa (1/m), 0 where unknown, or the four numbers of an `Inflow`

@@ -4,7 +4,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from quadexp.physics.induced_velocity import Defined, balance, newton, safe_newton, solution_function, starting_point
+from quadexp.plugins.aerodynamics.induced_velocity import (
+    Defined,
+    balance,
+    newton,
+    safe_newton,
+    solution_function,
+    starting_point,
+)
 from tests import paper
 
 K = 2 * paper.RHO * np.pi * paper.R**2

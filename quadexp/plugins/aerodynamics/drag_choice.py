@@ -17,7 +17,7 @@ from quadexp.models.base import AXIS, rms
 from quadexp.models.common_scale import with_common_scale
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.residual import VELOCITY
-from quadexp.models.terms import QUADRATIC, WITHOUT_RADIUS, Axes, fit_terms
+from quadexp.plugins.aerodynamics.terms import QUADRATIC, WITHOUT_RADIUS, Axes, fit_terms
 
 ALIKE = 0.02  # of an error
 MOST_ROWS = 20_000  # more are thinned evenly

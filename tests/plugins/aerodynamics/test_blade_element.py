@@ -5,16 +5,16 @@ import numpy as np
 import pytest
 
 from quadexp.errors import ModelDomainError
-from quadexp.physics.blade_element import (
+from quadexp.physics.rotor import BladeCoefficients
+from quadexp.plugins.aerodynamics.blade_element import (
     PRINTED,
     aerodynamic_wrench,
     blade_forces,
     motor_coefficients,
     static_coefficients,
 )
-from quadexp.physics.rotor import BladeCoefficients
 from tests import paper
-from tests.physics.aerodynamic_point import aerodynamic_point
+from tests.plugins.aerodynamics.aerodynamic_point import aerodynamic_point
 
 FLIGHTS = {  # paper's FRD: velocity (m/s) and its spread, rotor speed and its spread (rad/s)
     "hover": ([0, 0, 0], 0.0, 527, 60),

@@ -21,9 +21,15 @@ from functools import cache
 from typing import NamedTuple
 
 from quadexp.compile.symbolic import ca
-from quadexp.physics.blade_element import ADOPTED, TINY_SPEED, CrossTerms, thrust_loss_per_flow, unloaded_thrust
 from quadexp.physics.expression import Expression, named_function, named_symbols
 from quadexp.physics.rotor import STANDING, RotorGeometry
+from quadexp.plugins.aerodynamics.blade_element import (
+    ADOPTED,
+    TINY_SPEED,
+    CrossTerms,
+    thrust_loss_per_flow,
+    unloaded_thrust,
+)
 
 SAFE_ITERATIONS = 60  # halving alone reaches 1e-12 m/s from any bracket in 50
 

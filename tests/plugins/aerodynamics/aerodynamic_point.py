@@ -1,6 +1,6 @@
 """The blade-element model evaluated numerically at one velocity and set of rotor speeds.
 
-Plants and controllers use the expressions of quadexp.physics.blade_element.
+Plants and controllers use the expressions of quadexp.plugins.aerodynamics.blade_element.
 """
 
 from functools import cache
@@ -10,10 +10,10 @@ import casadi as ca
 import numpy as np
 
 from quadexp.errors import ModelDomainError
-from quadexp.physics.blade_element import ADOPTED, CrossTerms, aerodynamic_wrench, blade_forces, rotor_flow
-from quadexp.physics.induced_velocity import REASONS, Defined, solution_function
 from quadexp.physics.rotor import C_D0, C_LA, STANDING, THETA, BladeCoefficients
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.blade_element import ADOPTED, CrossTerms, aerodynamic_wrench, blade_forces, rotor_flow
+from quadexp.plugins.aerodynamics.induced_velocity import REASONS, Defined, solution_function
 
 
 class AerodynamicPoint(NamedTuple):

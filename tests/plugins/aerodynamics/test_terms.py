@@ -11,9 +11,17 @@ from quadexp.errors import DataError, UsageError
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.regression import regress
 from quadexp.models.residual import AXES
-from quadexp.models.terms import SELF_CONSISTENT, Z_TERMS, Inflow, TermStructure, all_columns, fit_terms, term_residual
-from quadexp.physics.blade_element import motor_coefficients, static_coefficients
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
+from quadexp.plugins.aerodynamics.blade_element import motor_coefficients, static_coefficients
+from quadexp.plugins.aerodynamics.terms import (
+    SELF_CONSISTENT,
+    Z_TERMS,
+    Inflow,
+    TermStructure,
+    all_columns,
+    fit_terms,
+    term_residual,
+)
 from quadexp.plugins.identification.inflow import fit_inflow, momentum_of
 from quadexp.plugins.identification.thrust_curve import ThrustCurve
 from quadexp.plugins.identification.vehicle_model import VehicleModel
@@ -90,7 +98,7 @@ def air(lei_li, blade):
 def lumped_coefficients(
     geometry: RotorGeometry, blade: BladeCoefficients, mass: float, thrust_coefficient: float
 ) -> dict[tuple[str, str], float]:
-    """What the table of quadexp.models.terms gives for a known rotor: (axis, term) -> value.
+    """What the table of quadexp.plugins.aerodynamics.terms gives for a known rotor: (axis, term) -> value.
 
     thrust_coefficient: m times the thrust curve's c_2 (N s^2), which may differ from k_T,static: `thrust` corrects for
     it.
