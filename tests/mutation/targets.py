@@ -75,7 +75,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/plugins/papers/lei_li/blade_element.py": (*RESIDUAL, "tests/plugins/papers/test_blade_fit.py"),
     "quadexp/plugins/remedies/observers/*.py": ("tests/plugins/remedies/test_observers.py",),
     "quadexp/control/delivered.py": (
-        "tests/control/test_delivered.py",
+        "tests/plugins/remedies/test_sent_commands.py",
         "tests/plugins/remedies/delay/test_prediction.py",
         "tests/plugins/remedies/test_observers.py",
     ),
@@ -94,7 +94,11 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/plugins/remedies/delay/*.py": DELAYS,
     "quadexp/plugins/remedies/indi.py": ("tests/plugins/remedies/test_indi.py",),
     "quadexp/plugins/remedies/l1.py": ("tests/plugins/remedies/test_l1.py",),
-    "quadexp/control/allocation.py": ("tests/control/test_allocation.py", "tests/control/laws/test_desaturation.py"),
+    "quadexp/plugins/remedies/sent_commands.py": ("tests/plugins/remedies/test_sent_commands.py",),
+    "quadexp/plugins/laws/allocation.py": (
+        "tests/plugins/laws/test_allocation.py",
+        "tests/plugins/laws/test_desaturation.py",
+    ),
     "quadexp/plugins/laws/dfbc.py": ("tests/plugins/laws/test_dfbc.py",),
     "quadexp/control/laws/[!r]*.py": ("tests/control/laws",),
     "quadexp/control/mpc/step.py": STEP,

@@ -3,7 +3,7 @@
     late -> now       the given state, over its age
     now -> ahead      the state at which a command of now begins to act, over the dead time
 
-by the model of delay/prediction.py, and the weights of control.delivered on the last commands.
+by the model of delay/prediction.py, and the weights of sent_commands.py on the last commands.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
 from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, call, copy, run
-from quadexp.control.delivered import INSTANT, SETTLED, SentCommands, command_weights
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.models.residual import Residual
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.auto.settings import BANK, DECISION
 from quadexp.plugins.remedies.delay.prediction import STEP, prediction
+from quadexp.plugins.remedies.sent_commands import INSTANT, SETTLED, SentCommands, command_weights
 
 
 def sent_commands(vehicle: Vehicle, period: float) -> SentCommands:

@@ -28,7 +28,6 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.base import N_BELIEF, Window
 from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, ControlStep, InputArrays, call, control_step_of, copy
-from quadexp.control.delivered import SentCommands
 from quadexp.control.wrapped import WrappedController
 from quadexp.models.residual import no_residual
 from quadexp.parts.sensor_spec import SensorSpec
@@ -39,6 +38,7 @@ from quadexp.plugins.auto.ahead import Ahead, prediction_numbers, sent_commands,
 from quadexp.plugins.auto.auto import Auto
 from quadexp.plugins.auto.decide import Decision
 from quadexp.plugins.auto.settings import BANK, PATH
+from quadexp.plugins.remedies.sent_commands import SentCommands
 
 DERIVATIVES = 5  # of the path: position .. snap
 OF_LAW = "ahead_dt", "ahead_weights", "ahead_moves", "ahead", "at", "jump_rows"

@@ -13,7 +13,6 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.base import Window
 from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, ControlStep, InputArrays, call, copy
-from quadexp.control.delivered import INSTANT
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.dead_time import MotorLead
 from quadexp.control.wrapped import parameters_of
@@ -26,6 +25,7 @@ from quadexp.plugins.auto.decide import Decision, grids
 from quadexp.plugins.auto.disturbance import speeds_tell
 from quadexp.plugins.auto.settings import DECISION
 from quadexp.plugins.remedies.delay_line import DelayLine
+from quadexp.plugins.remedies.sent_commands import INSTANT
 
 
 class AutoMPC(Auto):

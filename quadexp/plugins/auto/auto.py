@@ -23,7 +23,6 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Window
 from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, ControlStep, InputArrays, call, control_step_of, copy, run
-from quadexp.control.delivered import SentCommands
 from quadexp.control.inputs import Circumstances, Inputs
 from quadexp.control.layer import Layer
 from quadexp.control.mpc.controller import PredictiveController
@@ -41,6 +40,7 @@ from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL
 from quadexp.plugins.remedies.delay.strapdown import TunedStrapdown
 from quadexp.plugins.remedies.observers.observer import COLUMNS as BELIEVED
 from quadexp.plugins.remedies.observers.wind import WindObserver, wind_bandwidth
+from quadexp.plugins.remedies.sent_commands import SentCommands
 
 QUANTITIES = "age", "delay", "lag"
 KNOWN = (

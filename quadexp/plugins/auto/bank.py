@@ -30,7 +30,6 @@ from quadexp.compile.memory import NEXT, NOW, Memory, Sums, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, InputArrays, call, copy
-from quadexp.control.delivered import SETTLED
 from quadexp.models.residual import Residual
 from quadexp.physics.expression import Expression, named_function, named_symbols
 from quadexp.physics.rigid_body import body_features
@@ -38,6 +37,7 @@ from quadexp.physics.rotation import product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.auto.settings import BANK
+from quadexp.plugins.remedies.sent_commands import SETTLED
 
 GYROS, AXES = len(BANK.gyro_models), 3
 

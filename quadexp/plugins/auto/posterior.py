@@ -28,12 +28,12 @@ from quadexp.compile.memory import Memory
 from quadexp.compile.symbolic import ca
 from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, call, copy
-from quadexp.control.delivered import INSTANT
 from quadexp.physics.expression import dense_function, limited, named_function, named_symbols
 from quadexp.plugins.auto.bank import AXES, GYROS, Bank, Layout, first_order_gain
 from quadexp.plugins.auto.responses import command_weights, reading_weights, tails
 from quadexp.plugins.auto.settings import BANK
 from quadexp.plugins.remedies.observers.filters import inverse
+from quadexp.plugins.remedies.sent_commands import INSTANT
 
 SOURCE = Path(__file__).with_name("posterior.c")
 LATE, PROMPT, BETWEEN = range(3)

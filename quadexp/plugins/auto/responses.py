@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.control.delivered import INSTANT
+from quadexp.plugins.remedies.sent_commands import INSTANT
 
 HEAD = 2  # weights; a span is at most a period
 

@@ -32,11 +32,11 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
-from quadexp.control.delivered import INSTANT, SentCommands, command_weights
 from quadexp.names import named
 from quadexp.physics.expression import named_function
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.moments import LARGEST_AGE, LARGEST_DEAD_TIME, LARGEST_LAG, N_AIR, Moments, Sizes
+from quadexp.plugins.remedies.sent_commands import INSTANT, SentCommands, command_weights
 
 TINY = 1e-18  # of a mean square: exact data have no noise
 WORTH = 8.0  # log likelihood that one more constant must bring to be real

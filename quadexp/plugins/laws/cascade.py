@@ -35,7 +35,6 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.control.allocation import prioritised
 from quadexp.control.inputs import Inputs
 from quadexp.control.law import Law
 from quadexp.control.laws.explicit import Rate
@@ -45,6 +44,7 @@ from quadexp.physics.low_pass import low_pass
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.laws.allocation import prioritised
 from quadexp.plugins.laws.attitude import attitude_of
 
 RATE_ERROR = math.radians(400.0)  # rad/s, at which the rate loop no longer integrates

@@ -29,7 +29,6 @@ from __future__ import annotations
 from typing import Any, Literal
 
 from quadexp.compile.symbolic import ca
-from quadexp.control.allocation import allocation
 from quadexp.control.base import N_BELIEF
 from quadexp.control.inputs import Inputs
 from quadexp.control.law import Law
@@ -40,6 +39,7 @@ from quadexp.physics.expression import Expression, limited, symbols
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.laws.allocation import allocation
 
 WRENCH_WEIGHT = Setting(
     "weight of the squared error of collective thrust (N^-2) and of roll, pitch, yaw torque ((N m)^-2) where the rotors"

@@ -36,7 +36,7 @@ from typing import Any, Literal
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.control.allocation import clipped, prioritised
+from quadexp.control.allocation import clipped
 from quadexp.control.inputs import Inputs
 from quadexp.control.law import Law
 from quadexp.control.part import RESIDUAL
@@ -45,6 +45,7 @@ from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.laws.allocation import prioritised
 from quadexp.plugins.laws.attitude import attitude_distance, attitude_error, moving_attitude
 
 E_X, E_Z = ca.DM([1, 0, 0]), ca.DM([0, 0, 1])

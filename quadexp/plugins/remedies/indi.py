@@ -24,7 +24,6 @@ from typing import Any, Literal
 import numpy as np
 
 from quadexp.compile.symbolic import ca
-from quadexp.control.allocation import allocation
 from quadexp.control.inputs import Circumstances, Inputs
 from quadexp.control.layer import Layer, LayerPart
 from quadexp.control.wrapped import layers
@@ -35,6 +34,7 @@ from quadexp.parts.settings import Backend, key, keyed
 from quadexp.physics.expression import Expression, symbols
 from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.laws.allocation import allocation
 from quadexp.plugins.laws.dfbc import TILT_FIRST, WRENCH_WEIGHT, Wrench
 from quadexp.plugins.remedies.delay_line import delayed, kept_size
 

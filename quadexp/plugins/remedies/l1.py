@@ -27,7 +27,6 @@ import numpy as np
 
 from quadexp.compile.backend import resolve
 from quadexp.compile.symbolic import ca
-from quadexp.control.allocation import prioritised
 from quadexp.control.inputs import Circumstances, Inputs
 from quadexp.control.layer import NO_BELIEF, Layer, LayerPart
 from quadexp.control.wrapped import WrappedController, air_of, parameters_of
@@ -39,6 +38,7 @@ from quadexp.physics.rigid_body import features_function
 from quadexp.physics.rotation import along_z, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.laws.allocation import prioritised
 from quadexp.plugins.remedies.observers.observer import known_delay
 
 LOGGED = ("l1_force_x", "l1_force_y", "l1_force_z", "l1_torque_x", "l1_torque_y", "l1_torque_z")

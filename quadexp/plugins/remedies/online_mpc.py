@@ -18,7 +18,6 @@ import numpy as np
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.control.base import Window
 from quadexp.control.control_step import ControlStep, InputArrays, copy, python
-from quadexp.control.delivered import DeliveredThrust
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.control.mpc.part import PredictivePart
@@ -31,6 +30,7 @@ from quadexp.models.residual import Residual, sum_residual
 from quadexp.parts.settings import REQUIRED, Settings, key, keyed, part
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.remedies.online import Law, prior_belief, update_function
+from quadexp.plugins.remedies.sent_commands import DeliveredThrust
 
 
 @dataclass(frozen=True)

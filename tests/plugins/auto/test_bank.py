@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.compile.symbolic import ca
 from quadexp.control.control_step import InputArrays, run
-from quadexp.control.delivered import SentCommands
 from quadexp.models.residual import no_residual
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.plugins.auto.bank import Bank, first_order_gain, stationary_gain
 from quadexp.plugins.auto.posterior import BETWEEN, FOUND, NEVER, STEPS, Search
 from quadexp.plugins.auto.responses import command_weights, reading_weights, tails
 from quadexp.plugins.auto.settings import BANK
+from quadexp.plugins.remedies.sent_commands import SentCommands
 
 PERIOD = 0.02
 

@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.control.control_step import run
-from quadexp.control.delivered import SentCommands
 from quadexp.physics.state import ATTITUDE, VELOCITY
 from quadexp.plugins.identification.moments import BEGINS, ROUND, SPAN, Moments, Stream, half_of
 from quadexp.plugins.identification.timing import LARGEST, SMALL_STEP, Search
+from quadexp.plugins.remedies.sent_commands import SentCommands
 
 PERIOD = 0.02
 

@@ -9,12 +9,12 @@ from scipy.signal import butter
 from quadexp.compile.backend import BufferedFunction
 from quadexp.control.base import Measurement, Window
 from quadexp.control.control_step import InputArrays, run
-from quadexp.control.delivered import DeliveredThrust
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_controller, build_plant, build_vehicle
 from quadexp.parts.compose import compose
 from quadexp.physics.state import N_STATE, RATE
 from quadexp.plugins.remedies.indi import INDI, indi_function, settled_memory
+from quadexp.plugins.remedies.sent_commands import DeliveredThrust
 from tests.control.held import Held
 
 TAU = 0.03  # s, lag of the thrusts

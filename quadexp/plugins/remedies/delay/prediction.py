@@ -22,7 +22,6 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import N_BELIEF, Controller, Window
 from quadexp.control.control_step import Call, InputArrays, python
-from quadexp.control.delivered import INSTANT, SETTLED, weights_function
 from quadexp.control.inputs import Circumstances, Inputs
 from quadexp.control.layer import NO_BELIEF, Layer
 from quadexp.control.wrapped import innermost, layers
@@ -34,6 +33,7 @@ from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.remedies.delay.strapdown import KnownDelay
+from quadexp.plugins.remedies.sent_commands import INSTANT, SETTLED, weights_function
 
 STEP = 0.02  # s, of the integration
 

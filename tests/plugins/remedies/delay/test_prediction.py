@@ -8,7 +8,6 @@ from scipy.integrate import quad, solve_ivp
 
 from quadexp.control.base import Belief, Measurement, Window
 from quadexp.control.control_step import run
-from quadexp.control.delivered import SentCommands
 from quadexp.control.mpc import mpc as landed
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.mpc import StepRecord
@@ -19,6 +18,7 @@ from quadexp.models.residual import no_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
 from quadexp.plugins.remedies.delay.prediction import Prediction
+from quadexp.plugins.remedies.sent_commands import SentCommands
 from tests.control.held import Held
 
 PERIOD = 0.02

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from quadexp.control.allocation import allocation, exact_allocation
 from quadexp.errors import UsageError
+from quadexp.plugins.laws.allocation import allocation, exact_allocation
 
 WEIGHT = (0.001, 10.0, 10.0, 0.1)
 

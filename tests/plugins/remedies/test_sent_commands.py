@@ -9,7 +9,7 @@ import pytest
 
 import quadexp as qx
 from quadexp.control.control_step import InputArrays, run
-from quadexp.control.delivered import DeliveredThrust, SentCommands
+from quadexp.plugins.remedies.sent_commands import DeliveredThrust, SentCommands
 
 PERIOD = 0.02
 

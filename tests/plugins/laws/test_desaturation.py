@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from quadexp.control.allocation import clipped, prioritised
+from quadexp.control.allocation import clipped
 from quadexp.errors import UsageError
+from quadexp.plugins.laws.allocation import prioritised
 from tests.control.laws.flown import vehicle_of
 
 HEXAGON = np.radians(60.0 * np.arange(6) + 10.0)
