@@ -31,7 +31,7 @@ from quadexp.control.mpc.settings import MPCSettings
 from quadexp.experiment.build import build_vehicle
 from quadexp.parts.compose import compose, session
 from quadexp.physics.vehicle import Vehicle
-from quadexp.report.style import BLUE, styled
+from quadexp.plugins.drawing.style import BLUE, styled
 from quadexp.sweeps.sweep import run_sweep
 
 SIZES = {"nodes": (5, 10, 20, 40, 80), "points": (5, 20, 100, 300, 1000), "rotors": (4, 5, 6, 7, 8)}

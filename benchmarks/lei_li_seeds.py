@@ -68,7 +68,7 @@ def figure(found: dict[str, dict[str, np.ndarray]]) -> Any:
     import matplotlib
     from matplotlib.figure import Figure
 
-    from quadexp.report.style import COLOURS, STYLE
+    from quadexp.plugins.drawing.style import COLOURS, STYLE
 
     with matplotlib.rc_context(STYLE):
         drawn = Figure(figsize=(10.0, 3.6), layout="constrained")

@@ -12,8 +12,8 @@ its format, and each gives one line, one cell or one word, whatever the text was
     yaml            a value of YAML
     shlex.quote     a word of a command
 
-Figures take text as it is: mathematics is asked for by name (report/style.py). Standard output and the error stream are
-wrapped once in a CleanStream (quadexp/cli/terminal.py).
+Figures take text as it is: mathematics is asked for by name (drawing/style.py). Standard output and the error stream
+are wrapped once in a CleanStream (quadexp/cli/terminal.py).
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ FLOORS = (
 )
 # Floors of the plug-ins, above all of the core, which imports nothing from them.
 PLUGIN_FLOORS = (
-    ("laws", "aerodynamics"),
+    ("laws", "aerodynamics", "drawing"),
     (
         "remedies",
         "tune",

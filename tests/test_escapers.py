@@ -16,9 +16,9 @@ from rich.console import Console
 from quadexp import messages
 from quadexp.cli.terminal import print_lines
 from quadexp.plugins.check.candidates import flow
+from quadexp.plugins.drawing.style import Figure, plain_log, styled
 from quadexp.plugins.page.document import sortable_page
 from quadexp.plugins.tune.preset import _yaml
-from quadexp.report.style import Figure, plain_log, styled
 from quadexp.report.table import _MARKS, Table
 from tests.report.results import make_results, speed_figure
 

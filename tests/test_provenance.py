@@ -68,7 +68,7 @@ def test_what_changes_which_hash(tmp_path):
     here = provenance.sources(), provenance.package_hash()
     assert hashes(tmp_path) == here
     for name, decides in (
-        ("report/style.py", False),
+        ("plugins/drawing/style.py", False),
         ("cli/fly.py", False),
         ("plugins/cluster/cluster.py", False),
         ("report/metrics.py", True),

@@ -179,14 +179,12 @@ def show(
 
 
 def _beliefs(path: Path, out: Path | None, force: bool) -> Answer:
-    from quadexp.report.style import check_path, save_figure
-
-    beliefs = service("beliefs", "--beliefs")
-    figure = None if out is None else check_path(out, force)
+    beliefs, drawing = service("beliefs", "--beliefs"), service("drawing", "--beliefs")
+    figure = None if out is None else drawing.check_path(out, force)
     flight = beliefs.read_beliefs(path)
     table = beliefs.beliefs_table(flight)
     if figure is not None:
-        save_figure(beliefs.beliefs_figure(flight), figure, force=force)
+        drawing.save_figure(beliefs.beliefs_figure(flight), figure, force=force)
     drawn = [] if figure is None else [str(figure)]
     record = {"beliefs": [named(table.columns, row) for row in table.rows]}
     return Answer(record, [table], [table, *drawn])

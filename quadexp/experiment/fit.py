@@ -14,6 +14,7 @@ from quadexp.models.dataset import read_dataset
 from quadexp.models.verdict import fit_with_report, verdict, verdict_lines, without
 from quadexp.names import distinct
 from quadexp.parts.schema import Config
+from quadexp.plugin import brought
 from quadexp.provenance import provenance, versions
 
 WIDTH = 34  # of a column of the report
@@ -48,11 +49,10 @@ def fit_checkpoint(
     report |= {"dataset": str(dataset), "versions": versions(), "provenance": provenance()}
     save_model(out, fit.model, report=report, force=force)
     files = {}
-    if figures and fit.model.figure:
-        from quadexp.report.style import save
-
+    drawing = brought("services", "drawing") if figures and fit.model.figure else None
+    if drawing is not None:
         figure = figure_of(fit.held_out_model, fit.test or fit.train, str(out))
-        files = {"fit": str(save(figure, out / "figures" / "fit"))}
+        files = {"fit": str(drawing.save(figure, out / "figures" / "fit"))}
     lines = [f"{report['summary']} from {data.n_rows} rows of {len(data.flights)} flights"]
     if after is not None:
         lines.append(f"of what {after} leaves: to be flown in a sum with it")

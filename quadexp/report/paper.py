@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from quadexp.errors import UsageError
-from quadexp.plugin import brought, places
+from quadexp.plugin import brought, places, service
 from quadexp.writer import write_text
 
 STANDARD = "standard"  # no figures but the standard ones
@@ -30,9 +30,8 @@ def paper(name: str) -> Any:
 
 def write(module: Any, rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str, str]:
     """Write what a module draws into the folder of the results; returns name -> path."""
-    from quadexp.report.style import save
-
+    drawing = service("drawing", "evaluate.figures")
     tables, figures = module.draw(rows, out)
     files = {f"table_{name}": write_text(out / f"{name}.md", text) for name, text in tables.items()}
-    files |= {f"figure_{name}": save(figure, out / "figures" / name) for name, figure in figures.items()}
+    files |= {f"figure_{name}": drawing.save(figure, out / "figures" / name) for name, figure in figures.items()}
     return {name: str(path) for name, path in files.items()}

@@ -324,7 +324,7 @@ SOURCES = {
     "plugins/laws/cascade.py": "controller=pid",
     "plugins/neural/neural.py": "controller=linear_drag_mpc",  # whose checkpoint says which model reads it
     "experiment/fit.py": "fitted",
-    "report/style.py": "",
+    "plugins/drawing/style.py": "",
     "cli/fly.py": "",
     "plugins/cluster/cluster.py": "",
     "plugins/tune/search.py": "",

@@ -10,8 +10,8 @@ from quadexp.experiment import evaluate as flying
 from quadexp.experiment.build import unshared
 from quadexp.parts.cells import Cells
 from quadexp.parts.compose import Composer, session
+from quadexp.plugins.drawing.style import Figure
 from quadexp.plugins.page import sweep_figures as figures
-from quadexp.report.style import Figure
 from quadexp.sweeps import server, sweep
 from tests.cli.command import run
 

@@ -152,7 +152,7 @@ ELSEWHERE = {
     "quadexp.compile.backend": "a lock, and what is compiled, in a private folder",
     "quadexp.log.cell_store": "a lock",
     "quadexp.plugins.exchange.flights": "in a private folder",
-    "quadexp.report.style": "hands what it is given on to matplotlib",
+    "quadexp.plugins.drawing.style": "hands what it is given on to matplotlib",
 }
 WAYS = re.compile(
     r"open\([^)]*, '[rb]*[wax+]|.*\.(write_text|write_bytes|touch|to_parquet|to_csv)\(|os\.(replace|rename|link)\("

@@ -15,7 +15,7 @@ from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.physics.state import ATTITUDE, VELOCITY
-from quadexp.report.style import HUES, Figure, styled
+from quadexp.plugins.drawing.style import HUES, Figure, styled
 from quadexp.report.table import Table
 
 BAND = 1.96  # deviations

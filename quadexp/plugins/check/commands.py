@@ -63,7 +63,7 @@ def check(
 
 def _draw(folder: Path, checked: Sequence[Any]) -> dict[str, Path]:
     from quadexp.plugins.check.figures import consistency_figure
-    from quadexp.report.style import save
+    from quadexp.plugins.drawing.style import save
 
     drawn: dict[str, Path] = {}
     for flight in checked:

@@ -9,9 +9,9 @@ import numpy as np
 
 from quadexp.log.schema import Flight
 from quadexp.physics.state import finite_rows
+from quadexp.plugins.drawing.style import COLOURS, Figure, styled
 from quadexp.plugins.logs.finding import Finding
 from quadexp.plugins.logs.signal.windows import Pair, cut, pairs, streams_of
-from quadexp.report.style import COLOURS, Figure, styled
 
 HEADROOM = 0.3  # of the first row of panels, where the legends stand
 QUIET = 0.995  # quantile that sets an axis's limits: one spike must not flatten the rest

@@ -170,8 +170,8 @@ def _evenly(flight: Flight, name: str) -> Stream:
 def _draw(search: Search, delays: Delays, path: Path) -> None:
     """Write the figure of a search, as SVG and PNG: of every delay its candidates (s) where they are likely at all,
     their log likelihood less the best, and the result; dead time and lag each with the best of the other."""
+    from quadexp.plugins.drawing.style import save
     from quadexp.plugins.identification.figures import Profile, delay_figure
-    from quadexp.report.style import save
 
     ages = np.linspace(0.0, LARGEST_AGE, PROFILED)
     ages = _near(ages, search.age_likelihood(ages))

@@ -9,12 +9,12 @@ import numpy as np
 
 from quadexp.models.regression import half_width
 from quadexp.models.residual import AXES
+from quadexp.plugins.drawing.style import COLOURS, HUES, ORANGE, Figure, Look, looks, mathematics, styled
 from quadexp.plugins.identification.lines import MODES, QUANTITIES, error_of, mean_of
 from quadexp.plugins.identification.thrust_curve import ThrustCurve, scaled_signal
 from quadexp.plugins.identification.vehicle_model import VehicleModel
 from quadexp.plugins.logs.samples import SIGNALS, Samples
 from quadexp.plugins.page.model_figures import BINS, MOST_DOTS, _legend_above, density
-from quadexp.report.style import COLOURS, HUES, ORANGE, Figure, Look, looks, mathematics, styled
 
 
 class Profile(NamedTuple):

@@ -240,8 +240,8 @@ def identify_flights(
     save_model(out, model, report={**report, "versions": versions(), "provenance": provenance()}, force=force)
     files = {}
     if figures:
+        from quadexp.plugins.drawing.style import save
         from quadexp.plugins.identification.figures import identification_figures
-        from quadexp.report.style import save
 
         for name, figure in identification_figures(model, samples).items():
             files[name] = str(save(figure, out / "figures" / name))

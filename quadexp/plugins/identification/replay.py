@@ -120,8 +120,8 @@ def replay_test(
     }  # fmt: skip
     files = {}
     if out is not None:
+        from quadexp.plugins.drawing.style import save
         from quadexp.plugins.identification.replay_report import replay_figure
-        from quadexp.report.style import save
 
         write_text(out / REPORT_FILE, json.dumps(report, indent=1, default=str) + "\n", force=force)
         figure = save(replay_figure(path, kept, vehicle, log.name), out / "replay")

@@ -20,10 +20,10 @@ from quadexp.models.dataset import feature_rows
 from quadexp.parts.schema import Config
 from quadexp.physics.state import norms, root_mean_square
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.drawing.style import Figure, shaded, styled
 from quadexp.plugins.identification.replay_log import LoggedPath, Noise
 from quadexp.plugins.identification.validation import POINT, Predictor
 from quadexp.plugins.logs.samples import RATES
-from quadexp.report.style import Figure, shaded, styled
 from quadexp.report.table import Table
 
 SETTLE = 1.0  # s

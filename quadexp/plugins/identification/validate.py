@@ -88,8 +88,8 @@ def validate(
         files["report"] = str(out / REPORT_FILE)
         write_text(out / REPORT_FILE, json.dumps(report, indent=1, default=str) + "\n", force=force)
         if figures:
+            from quadexp.plugins.drawing.style import save
             from quadexp.plugins.identification.figures import validation_figures
-            from quadexp.report.style import save
 
             files |= {name: str(save(figure, out / name)) for name, figure in validation_figures(report).items()}
     return {**report, "lines": lines, "files": files}

@@ -27,9 +27,9 @@ from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.physics.state import norms
+from quadexp.plugins.drawing.style import Figure, looks, plain_log, styled
 from quadexp.progress import Progress
 from quadexp.report.metrics import position_error
-from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.text import speed_text
 from quadexp.writer import check_output, written
 

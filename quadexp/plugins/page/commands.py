@@ -48,11 +48,11 @@ def plot(
     """
     from dataclasses import replace
 
+    from quadexp.plugins.drawing.style import check_path
     from quadexp.plugins.page.draw import SUFFIXES, records, save_view
     from quadexp.plugins.page.view import view
     from quadexp.report.checked import check_flights
     from quadexp.report.frame import SweepFrame, chosen
-    from quadexp.report.style import check_path
 
     names = dict(text.partition("=")[::2] for text in label)
     if not all(names.values()):
@@ -162,14 +162,14 @@ def compare(
     from quadexp.report.frame import read_results
 
     if out is not None:
-        from quadexp.report.style import check_path
+        from quadexp.plugins.drawing.style import check_path
 
         out = check_path(out, force)
     given_folders(conf)
     report = compared(first, *others)
     if out is not None:
+        from quadexp.plugins.drawing.style import save_figure
         from quadexp.plugins.page.draw import comparison_figure
-        from quadexp.report.style import save_figure
 
         save_figure(comparison_figure(report["kind"], [first, *others]), out, force=force)
     checked = {str(p): check_flights(*read_results(p)[:2]) for p in (first, *others) if report["kind"] == "results"}

@@ -28,13 +28,7 @@ from matplotlib.patches import Rectangle
 from quadexp.errors import UsageError
 from quadexp.log.store import read_flight
 from quadexp.names import named
-from quadexp.plugins.page.compare import names_of
-from quadexp.plugins.page.document import sortable_page
-from quadexp.plugins.page.paper_cells import Point
-from quadexp.plugins.page.view import SUCCESS, Axis, Place, View, value_text, view
-from quadexp.report.frame import SweepFrame, read_results, unit_of
-from quadexp.report.pairing import SOURCE
-from quadexp.report.style import (
+from quadexp.plugins.drawing.style import (
     ERROR_COLOURS,
     PLAIN,
     STYLE,
@@ -47,6 +41,12 @@ from quadexp.report.style import (
     plain_log,
     save_figure,
 )
+from quadexp.plugins.page.compare import names_of
+from quadexp.plugins.page.document import sortable_page
+from quadexp.plugins.page.paper_cells import Point
+from quadexp.plugins.page.view import SUCCESS, Axis, Place, View, value_text, view
+from quadexp.report.frame import SweepFrame, read_results, unit_of
+from quadexp.report.pairing import SOURCE
 from quadexp.report.table import records_table
 from quadexp.report.text import significant
 from quadexp.writer import write_text

@@ -18,9 +18,9 @@ from quadexp.errors import UsageError
 from quadexp.log.schema import Flight
 from quadexp.names import distinct
 from quadexp.physics.state import norms
+from quadexp.plugins.drawing.style import COLOURS, ERROR_COLOURS, Figure, entries, error_bar, looks, plain_log, styled
 from quadexp.report.metrics import mean_error, position_error
 from quadexp.report.pairing import grouped
-from quadexp.report.style import COLOURS, ERROR_COLOURS, Figure, entries, error_bar, looks, plain_log, styled
 
 MS = 1e3  # of a second
 MAX_PANELS = 36  # of tracked paths in one figure

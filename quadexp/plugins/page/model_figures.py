@@ -1,6 +1,6 @@
 """Figures of what is learned: a fit of Gaussian processes, the identification of a vehicle, a validation.
 
-Each function returns a matplotlib Figure; `quadexp.report.style.save` writes it.
+Each function returns a matplotlib Figure; `quadexp.plugins.drawing.style.save` writes it.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from msgspec.structs import replace
 from quadexp.models.base import AXIS, Prediction
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.residual import THRUST, VELOCITY
+from quadexp.plugins.drawing.style import BLUE, COUNTS, ORANGE, Figure, entries, mathematics, styled
 from quadexp.plugins.gaussian_process.gaussian_process import GaussianProcessModel, OutputPosterior
-from quadexp.report.style import BLUE, COUNTS, ORANGE, Figure, entries, mathematics, styled
 
 CURVE_POINTS = 300  # one a pixel of a panel
 MAX_COLUMNS = 4  # panels beside each other on a page

@@ -41,7 +41,7 @@ class Drawing(NamedTuple):
 
 def draw(drawing: Drawing, path: Path) -> None:
     """Draw a figure as SVG and PNG, each whole or not at all. path: of the SVG."""
-    from quadexp.report.style import save
+    from quadexp.plugins.drawing.style import save
 
     save(drawing.make(*drawing.inputs), path)
 

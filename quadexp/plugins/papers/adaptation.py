@@ -8,9 +8,9 @@ from typing import Any
 
 from quadexp.log.schema import Flight
 from quadexp.physics.state import root_mean_square
+from quadexp.plugins.drawing.style import Figure, looks, plain_log, styled
 from quadexp.plugins.papers.lei_li.report import flown, titled, without_corridor
 from quadexp.report.metrics import position_error
-from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.table import Table
 
 WINDOWS = ((-5.0, 0.0), (0.0, 1.0), (1.0, 3.0), (3.0, 7.0), (7.0, 15.0), (15.0, 25.0))  # s from the change

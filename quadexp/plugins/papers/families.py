@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from quadexp.plugins.drawing.style import Figure
 from quadexp.plugins.papers.ladder import means_by_place, means_figure, means_table
 from quadexp.plugins.papers.lei_li.report import without_corridor
-from quadexp.report.style import Figure
 
 Row = Mapping[str, Any]
 

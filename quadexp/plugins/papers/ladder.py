@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from quadexp.names import distinct
+from quadexp.plugins.drawing.style import Figure
 from quadexp.plugins.page.draw import figure_of
 from quadexp.plugins.page.paper_cells import Point
 from quadexp.plugins.page.view import Axis, Place, View
 from quadexp.report.pairing import contestant_labels, grouped
 from quadexp.report.statistics import Statistic, compute_statistics
-from quadexp.report.style import Figure
 from quadexp.report.table import Table
 from quadexp.report.tables import course_labels
 from quadexp.report.text import speed_text

@@ -129,7 +129,7 @@ def _draw(trials: Sequence[Trial], request: Request, flights: int, path: Path) -
     hollow: trials with too small a delay margin."""
     from matplotlib import rc_context
 
-    from quadexp.report.style import STYLE, Figure, plain_log, save
+    from quadexp.plugins.drawing.style import STYLE, Figure, plain_log, save
 
     factor, unit = shown(request.metric)
     spent = flights * np.arange(1, len(trials) + 1)

@@ -7,8 +7,8 @@ from PIL import Image
 from quadexp.errors import UsageError
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
+from quadexp.plugins.drawing.style import HUES
 from quadexp.plugins.page.animation import animate
-from quadexp.report.style import HUES
 from tests.log.flights import straight_flight
 
 

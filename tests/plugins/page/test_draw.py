@@ -8,10 +8,10 @@ import pytest
 from matplotlib.colors import to_hex
 
 from quadexp.errors import UsageError
+from quadexp.plugins.drawing.style import LOOKS, check_path
 from quadexp.plugins.page.draw import SUFFIXES, figure_of, page_of, save_view
 from quadexp.plugins.page.view import automatic, view
 from quadexp.report.frame import SweepFrame
-from quadexp.report.style import LOOKS, check_path
 from tests.report.sweeps import noise, swept
 
 

@@ -6,9 +6,9 @@ import pytest
 from quadexp.errors import UsageError
 from quadexp.log.schema import Flight
 from quadexp.plugins.check.figures import consistency_figure
+from quadexp.plugins.drawing.style import save
 from quadexp.plugins.identification.figures import Profile, delay_figure
 from quadexp.plugins.page.flight_figures import flights_figure, tracked_paths
-from quadexp.report.style import save
 from tests.log.flights import straight_flight
 from tests.report.results import speed_figure
 from tests.report.test_tables import row

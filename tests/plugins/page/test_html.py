@@ -248,7 +248,7 @@ class TestSwept:
     def test_what_has_too_many_marks_is_a_picture_and_what_has_no_room_is_said(self, two, monkeypatch):
         comparison = read_comparison(two)
         monkeypatch.setattr("quadexp.plugins.page.report.panels.tabled", tuple)  # the mean error and success
-        monkeypatch.setattr("quadexp.report.style.LARGEST_DRAWING", 1000)
+        monkeypatch.setattr("quadexp.plugins.drawing.style.LARGEST_DRAWING", 1000)
         blocks = swept_section(comparison)[0].blocks
         assert all("data:image/png" in figure for block in blocks for figure in block.figures)
         monkeypatch.setattr("quadexp.plugins.page.report.panels.BUDGET", len(blocks[0].figures[0]) + 10)

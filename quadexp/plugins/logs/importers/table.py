@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, missing_package
-from quadexp.log.integrity import allowed_bytes
-from quadexp.log.store import METADATA_KEY, as_numpy, first_line
+from quadexp.log.integrity import allowed_bytes, as_numpy
+from quadexp.log.store import METADATA_KEY, first_line
 from quadexp.names import distinct
 
 HEAD = 1 << 18  # bytes looked at for header and delimiter

@@ -12,13 +12,13 @@ from quadexp import __version__
 from quadexp.errors import UsageError
 from quadexp.names import file_name
 from quadexp.plugin import brought, places
+from quadexp.plugins.drawing.style import save_figure
 from quadexp.plugins.page.document import Section, document
 from quadexp.plugins.page.draw import figure_of
 from quadexp.plugins.page.report.answer import answer
 from quadexp.plugins.page.report.panels import swept_section
 from quadexp.plugins.page.report.sections import LOOKED_AT, Page, numbers, scoreboard
 from quadexp.plugins.page.report.source import Comparison, read_comparison
-from quadexp.report.style import save_figure
 from quadexp.writer import check_output, write_text
 
 MOST_LINES = 200  # of a table

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from quadexp.errors import UsageError
+from quadexp.plugins.drawing.style import figure_html
 from quadexp.plugins.page.document import Block, Section
 from quadexp.plugins.page.draw import figure_of
 from quadexp.plugins.page.report.source import Comparison
 from quadexp.plugins.page.view import SUCCESS, View, automatic
 from quadexp.report.frame import SweepFrame
 from quadexp.report.metrics import tabled
-from quadexp.report.style import figure_html
 
 BUDGET = 650_000  # characters of all figures over what was swept
 SWEPT = (

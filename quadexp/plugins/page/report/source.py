@@ -24,6 +24,7 @@ from quadexp.parts.cells import Combinations, Grid
 from quadexp.parts.override import in_grammar
 from quadexp.parts.reads import is_read
 from quadexp.parts.settings import flat, read_value
+from quadexp.plugins.drawing.style import Look, looks
 from quadexp.report.checked import Checked, check_flights
 from quadexp.report.frame import RESULTS, read_results
 from quadexp.report.notes import notes
@@ -41,7 +42,6 @@ from quadexp.report.pairing import (
 )  # fmt: skip
 from quadexp.report.significance import Tests
 from quadexp.report.statistics import CONFIDENCE, Statistic, Statistics, pooled, results_statistics
-from quadexp.report.style import Look, looks
 from quadexp.report.tables import course_labels
 from quadexp.report.winner import Verdict, verdict
 

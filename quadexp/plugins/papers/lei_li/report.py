@@ -18,8 +18,8 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.names import named
 from quadexp.physics.rotor import THETA
+from quadexp.plugins.drawing.style import COLOURS, DASHES, GREY, Figure, entries, looks, plain_log, styled
 from quadexp.report.metrics import position_error
-from quadexp.report.style import COLOURS, DASHES, GREY, Figure, entries, looks, plain_log, styled
 from quadexp.report.table import Table
 from quadexp.report.text import speed_text
 

@@ -30,6 +30,7 @@ from quadexp.log.store import read_flight
 from quadexp.names import named
 from quadexp.parts.settings import declared
 from quadexp.physics.state import POSITION
+from quadexp.plugins.drawing.style import Figure
 from quadexp.plugins.page.draw import figure_of
 from quadexp.plugins.page.paper_cells import Point
 from quadexp.plugins.page.view import Axis, Place, View
@@ -37,7 +38,6 @@ from quadexp.plugins.papers.sun.data import CRASHED, FLIGHTS, INFEASIBLE, Ellips
 from quadexp.reference.ellipse import Ellipse as ReferenceEllipse
 from quadexp.report.inference import holm, mean_interval, paired_permutation
 from quadexp.report.pairing import grouped
-from quadexp.report.style import Figure
 from quadexp.report.table import Table
 
 MASS, THRUST = 0.75, 4 * 8.5  # kg, N, of the vehicle

@@ -4,7 +4,7 @@ and how a figure is written.
 A controller whose option states its look has it in every figure and on the page, and so does a model of the air:
 `gp_mpc` and a GP are blue. Variants of a controller (settings, checkpoint) have its marker, hollow, and another dash;
 their colours, and those of all others, are the next of CYCLE that nobody has. All colours have a contrast of 3:1 and
-are distinct for colour-blind readers (tests/report/test_style.py).
+are distinct for colour-blind readers (tests/plugins/drawing/test_style.py).
 """
 
 from __future__ import annotations

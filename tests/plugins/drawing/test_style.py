@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 from quadexp.parts.options import OptionFiles
+from quadexp.plugins.drawing.style import CYCLE, GLYPHS, HUES, LOOKS, MODELS, SHADES, looks, plain_log, shaded
 from quadexp.plugins.page.report.source import read_comparison
-from quadexp.report.style import CYCLE, GLYPHS, HUES, LOOKS, MODELS, SHADES, looks, plain_log, shaded
 from tests.report.results import ERRORS, make_results, speed_figure
 from tests.report.test_tables import row
 

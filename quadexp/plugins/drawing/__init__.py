@@ -1,0 +1,3 @@
+"""How figures look and are written, whoever draws them."""
+
+BRINGS = {"services": {"drawing": "quadexp.plugins.drawing.style"}}
