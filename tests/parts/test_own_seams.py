@@ -242,6 +242,11 @@ class TestMetric:
         short = ["controller=pid", "trajectory=hover", "trajectory.duration=0.2", "--conf", bad]
         code, _, error = run("evaluate", *short, "evaluate.metric=bad", "--out", tmp_path / "r")
         assert code == 2 and "metric=bad: of(flight) raised" in error and error.count("\n") == 1, error
+        nan = METRIC.replace("return ", "return np.nan * ")
+        folder = option(tmp_path / "nan", "metric", "no_number", "no_number_of_mine", nan, "HeightError")
+        words = ["evaluate", *short[:3], "--conf", folder, "evaluate.metric=no_number", "--no-figures"]
+        code, out, error = run(*words, "--out", tmp_path / "r")
+        assert code == 0 and "no_number is no number in 1 of 1 completed flights" in out, error
         taken = option(tmp_path / "taken", "metric", "rmse", "rmse_of_mine", METRIC, "HeightError")
         code, _, error = run("evaluate", *short[:3], "--conf", taken, "--out", tmp_path / "r")
         assert code == 2 and "metric=rmse: results have a column of that name" in error
