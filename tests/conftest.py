@@ -20,7 +20,6 @@ from quadexp.compile.compiler import compiler
 from quadexp.errors import QuadexpError
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.aerodynamics.blade_element import static_coefficients
 from tests import composing  # noqa: F401 - before any test binds what it replaces
 from tests.deleted import pytest_ignore_collect, pytest_make_collect_report, pytest_runtest_makereport  # noqa: F401
 
@@ -109,6 +108,8 @@ def lei_li(blade) -> Vehicle:
     """The quadrotor of Lei & Li 2017 (+ layout, Table 1, in FLU)."""
     d = 0.225
     rotor = RotorGeometry(0.12, 0.025, np.pi / 12, 1.205, np.pi * d**2)
+    from quadexp.plugins.aerodynamics.blade_element import static_coefficients
+
     static = static_coefficients(rotor, blade)
     return Vehicle(
         name="lei_li",

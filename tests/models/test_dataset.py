@@ -12,7 +12,6 @@ from quadexp.log.schema import Flight
 from quadexp.models.dataset import ResidualDataset, residual_dataset, transitions
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.aerodynamics.terms import fit_term_mean
 
 VEHICLE = Vehicle(
     name="test",
@@ -142,6 +141,8 @@ def test_simulated_rows_carry_what_a_mean_of_terms_needs():
 
     flights = [simulate(0.02, steps=80, force=drag, seed=seed) for seed in range(4)]
     dataset = residual_dataset(flights, VEHICLE)
+    from quadexp.plugins.aerodynamics.terms import fit_term_mean
+
     mean = fit_term_mean(dataset, "quadratic")
     found, true = mean.acceleration(dataset), np.array([drag(v, None) for v in dataset.matrix(("v_x", "v_y", "v_z"))])
     assert mean.mass == 1.2

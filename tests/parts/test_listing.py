@@ -11,7 +11,6 @@ from quadexp.parts.options import OptionFiles, groups
 from quadexp.parts.schema import CLASSES, PARTS, PRESETS
 from quadexp.parts.settings import plain
 from quadexp.plugins.bench.commands import _controllers
-from quadexp.plugins.exchange import crazyflies
 
 
 def keys(option):
@@ -134,7 +133,7 @@ def test_controllers_of_the_leaderboard_are_completed():
 
 def test_what_is_there_is_listed_without_the_packages_that_an_option_needs(monkeypatch):
     """By name and meaning; its keys are those of the others, and asked for itself it says which package."""
-    monkeypatch.setattr(crazyflies, "FILES", {})
+    monkeypatch.setattr("quadexp.plugins.exchange.crazyflies.FILES", {})
     options = {record.get("option") for record in listed("vehicle")}
     assert {"vehicle=cf2x_L250", "vehicle=torrente"} <= options
     keys = {record.get("key") for record in listed("vehicle") + listed("plant")}
