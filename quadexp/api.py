@@ -99,7 +99,8 @@ def fit(
     scratch = Scratch()
     path = _path(out) or scratch / model
     with progress_of("fit", progress) as shown:
-        file, texts = _file(data, scratch, "residuals"), overrides(settings, keywords, "model")
+        file = _file(data, scratch, "residuals")
+        texts = overrides(settings, keywords, "model")
         requests.fit(model, file, texts, path, conf, force=force, figures=False, progress=shown)
     return Checkpoint(path, scratch if out is None else None)
 
@@ -253,7 +254,8 @@ def _pairs(values: Mapping[str, Any], prefix: str, lists: bool) -> Iterator[str]
     for name, value in values.items():
         if not isinstance(name, str):
             raise UsageError(f"{name!r}: keys are text, such as 'trajectory.speed'")
-        key, value = f"{prefix}{name}", value.tolist() if hasattr(value, "tolist") else value
+        key = f"{prefix}{name}"
+        value = value.tolist() if hasattr(value, "tolist") else value
         if isinstance(value, Mapping):
             yield from _pairs(value, f"{key}.", lists)
         elif lists and isinstance(value, (list, tuple, range)):

@@ -27,7 +27,8 @@ _OTHERS = re.compile(r"\w+_[0-9a-f]{24}\.sha256|[0-9a-f]{24}\.lock|[0-9a-f]{40}\
 def cache_folder() -> Path:
     """Folder of what is kept between runs, made private (0700): $QUADEXP_CACHE, else the user's cache folder, else,
     where that takes no files or is open to others, one in the system's temporary folder. Raises QuadexpError."""
-    chosen, base = os.environ.get("QUADEXP_CACHE"), os.environ.get("XDG_CACHE_HOME")
+    chosen = os.environ.get("QUADEXP_CACHE")
+    base = os.environ.get("XDG_CACHE_HOME")
     if not chosen:
         with contextlib.suppress(RuntimeError, QuadexpError):
             folder = _checked((Path(base) if base else Path.home() / ".cache") / "quadexp")
@@ -41,9 +42,11 @@ def _checked(path: Path) -> Path:
     path = Path(os.path.realpath(path))
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
-        root, closed = os.stat("/").st_uid, False
+        root = os.stat("/").st_uid
+        closed = False
         for part in [*reversed(path.parents), path]:
-            status, last = part.stat(), part == path
+            status = part.stat()
+            last = part == path
             is_ours = status.st_uid == os.getuid()
             if not is_ours and (last or not (closed or status.st_uid == root)):
                 raise QuadexpError(f"{part}: belongs to another user, set QUADEXP_CACHE to a folder of your own")

@@ -55,7 +55,9 @@ class ControlLoop:
     """
 
     def __init__(self, controller: Controller, trajectory: Trajectory, plant: Any) -> None:
-        self.controller, self.plant, self.vehicle = controller, plant, controller.vehicle
+        self.controller = controller
+        self.plant = plant
+        self.vehicle = controller.vehicle
         self.period = controller.control_period
         self._gate = ReadingGate(self.vehicle.n_rotors)
         self._record: StepRecord | None
@@ -100,7 +102,8 @@ class ControlLoop:
 
         Raises UsageError, with nothing changed, for other names, sizes or what is not finite."""
         running = self._declared()
-        kept, stored = running.memory, {name: np.ravel(values) for name, values in dict(memory).items()}
+        kept = running.memory
+        stored = {name: np.ravel(values) for name, values in dict(memory).items()}
         if kept.keys() != stored.keys():
             raise UsageError(f"restore: it remembers {', '.join(kept) or 'nothing'}; {', '.join(stored)} is given")
         for name, values in stored.items():
@@ -124,7 +127,8 @@ class ControlLoop:
     def record(self) -> StepRecord | None:
         """StepRecord of the last step that was made, None before the first."""
         if self._compiled is not None and self._took:
-            self._record, self._took = self._compiled.record(self._took), 0.0
+            self._record = self._compiled.record(self._took)
+            self._took = 0.0
         return self._record
 
     def follow(self, trajectory: Trajectory) -> None:
@@ -136,14 +140,12 @@ class ControlLoop:
         self.trajectory = trajectory
         self._reference = SampledReference(trajectory, self.controller)
         self._renewal = Renewal(round(self.controller.reference_period / self.period))
-        self._begun, self.failed, self._record, self._took, self._compiled, self._asked = (
-            False,
-            False,
-            None,
-            0.0,
-            None,
-            None,
-        )
+        self._begun = False
+        self.failed = False
+        self._record = None
+        self._took = 0.0
+        self._compiled = None
+        self._asked = None
         self._gate.begin()
         self._prepared: tuple[int, Window] | None = None
 
@@ -182,7 +184,8 @@ class ControlLoop:
         A step that fails says so in `failed`. Raises QuadexpError for readings that are not finite, with nothing
         changed; the last good ones of accelerometer and rotor speeds are held for a while (control/readings.py).
         """
-        began, self.failed = time.perf_counter(), True
+        began = time.perf_counter()
+        self.failed = True
         force = speed = None
         if isinstance(measured, Measurement):
             at, state, force, speed = measured
@@ -195,7 +198,9 @@ class ControlLoop:
         if self._compiled is not None:
             prepared = -1 if self._prepared is None else self._prepared[0]
             if self._compiled.step(t, state, force, speed, reference, prepared):
-                self._took, self._prepared, self.failed = time.perf_counter() - began, None, False
+                self._took = time.perf_counter() - began
+                self._prepared = None
+                self.failed = False
                 return self._compiled.command.copy()
             self._record = self.record
             self._compiled.hand_over(self._gate)
@@ -210,13 +215,16 @@ class ControlLoop:
             self._begin(measured.state, reference or self._reference.window(k))
         if reference is None and self._renewal.due(k):
             self._renewal.renew(k, self._reference, self.controller.residual)
-        prepared, self._prepared = self._prepared, None
+        prepared = self._prepared
+        self._prepared = None
         window = prepared[1] if prepared and prepared[0] == k else self._reference.window(k)
         thrusts, record = stepped(self.controller, measured, reference or window)
-        self._record, self.failed = record, record.status == Status.FAILED
+        self._record = record
+        self.failed = record.status == Status.FAILED
         running = getattr(self.controller, "_running", None)
         if self._asked is not running:
-            self._asked, self._compiled = running, None
+            self._asked = running
+            self._compiled = None
             if goes_in_c(self.controller):
                 table = CompiledReference(self._reference.horizons(), self._reference.path())
                 self._compiled = UserLoop(self.controller, table)

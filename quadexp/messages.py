@@ -116,7 +116,8 @@ class CleanStream:
     before: Callable[[], None] | None = None
 
     def __init__(self, raw: Any, *ignored: type[Exception]) -> None:
-        self.raw, self.ignored = raw, ignored
+        self.raw = raw
+        self.ignored = ignored
 
     def write(self, text: str) -> int:
         if CleanStream.before is not None:

@@ -24,13 +24,18 @@ class Waiting:
     now: Waiting | None = None
 
     def __init__(self, command: str) -> None:
-        self.command, self.what, self._began = command, "", time.monotonic()
-        self._ended, self._lock = threading.Event(), threading.RLock()
-        self._stream, self._shown = raw(sys.stderr), False
+        self.command = command
+        self.what = ""
+        self._began = time.monotonic()
+        self._ended = threading.Event()
+        self._lock = threading.RLock()
+        self._stream = raw(sys.stderr)
+        self._shown = False
 
     def __enter__(self) -> Waiting:
         if sys.stderr is not None and sys.stderr.isatty():
-            Waiting.now, CleanStream.before = self, self.clear
+            Waiting.now = self
+            CleanStream.before = self.clear
             threading.Thread(target=self._tick, daemon=True).start()
         return self
 
@@ -42,7 +47,8 @@ class Waiting:
         self._ended.set()
         self.clear()
         if Waiting.now is self:
-            Waiting.now, CleanStream.before = None, None
+            Waiting.now = None
+            CleanStream.before = None
 
     def clear(self) -> None:
         """Make room for what is printed."""
@@ -111,7 +117,8 @@ class Progress:
         from rich.console import Group
         from rich.live import Live
 
-        below, bar = self._below, self._bar
+        below = self._below
+        bar = self._bar
         assert below is not None
         return Live(get_renderable=lambda: Group(below(), bar), console=terminal, transient=True, refresh_per_second=2)
 

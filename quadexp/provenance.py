@@ -169,7 +169,8 @@ def follow(names: Iterable[str], locate: Callable[[str], Path | None]) -> tuple[
         name = waiting.pop()
         if not name or name in modules or name in elsewhere:
             continue
-        parent, path = name.rpartition(".")[0], locate(name)
+        parent = name.rpartition(".")[0]
+        path = locate(name)
         waiting += [parent] if parent else []
         if path is None:
             elsewhere.add(name)
@@ -258,7 +259,8 @@ def program_of(modules: frozenset[str]) -> Program:
 def sources() -> str:
     """Hash of the sources that can determine a flight, 12 hex digits; computed once per process."""
     folder = package_folder()
-    modules, parts = shipped_modules(folder), shipped_places("parts").values()
+    modules = shipped_modules(folder)
+    parts = shipped_places("parts").values()
     rooms = {name for name in modules if _room(name) in ROOMS}
     rooms |= {name for name in modules if any(f"{name}.".startswith(f"{place}.") for place in parts)}
     return program_of(frozenset({*flying(), *rooms, *model_modules(folder)})).sources
@@ -291,7 +293,8 @@ def package_identity(name: str) -> str:
     except ValueError:  # of a module that was made without one
         return ""
     places: Iterable[str | None] = spec.submodule_search_locations or [spec.origin] if spec else []
-    hashes, size = [], 0
+    hashes = []
+    size = 0
     for place in (Path(place) for place in places if place):
         files = []
         for file in folder_files(place) if place.is_dir() else [place]:

@@ -194,7 +194,8 @@ def evaluate(
         failed.append(cause)
     flown = [cell.config for cell in cells]
     doubts = [unused_model(flown), *edited_models(flown), *_doubts(sample), *result.notes]
-    notes, invalid = [note for note in doubts if note], invalid_text(result.rows) if result.invalid else ""
+    notes = [note for note in doubts if note]
+    invalid = invalid_text(result.rows) if result.invalid else ""
     return Swept(result, settings.metric, out, files | special, lines, notes, failed, invalid)
 
 

@@ -91,7 +91,8 @@ def written(path: str | Path, *, force: bool = True, durable: bool = True) -> It
 
 def flush(folder: Path) -> None:
     """Have the disk hold what was written without `durable` on the file system of a folder, of this machine."""
-    syncfs, fd = getattr(ctypes.CDLL(None), "syncfs", None), os.open(folder, os.O_RDONLY)
+    syncfs = getattr(ctypes.CDLL(None), "syncfs", None)
+    fd = os.open(folder, os.O_RDONLY)
     try:
         if syncfs is None or syncfs(fd):
             os.sync()

@@ -89,7 +89,8 @@ class Command(NamedTuple):
     def typed(self) -> Callable[..., None]:
         """As a function that typer takes, whose signature has its words and options."""
         hints = get_type_hints(self.function, include_extras=True)
-        parameters, records = [], {}
+        parameters = []
+        records = {}
         for name, parameter in inspect.signature(self.function).parameters.items():
             hint = hints[name]
             if isinstance(hint, type) and issubclass(hint, Settings):
@@ -118,7 +119,8 @@ class Command(NamedTuple):
                 answer = self.function(**values, **({"form": shown} if "form" in hints else {}))
                 _print(answer, shown, self.name)
 
-        run.__name__, run.__doc__ = self.name, inspect.getdoc(self.function)
+        run.__name__ = self.name
+        run.__doc__ = inspect.getdoc(self.function)
         run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # which typer reads
         run.__annotations__ = {each.name: each.annotation for each in parameters}
         return run

@@ -65,7 +65,8 @@ def evaluate(
         overrides, out, conf, sweep=sweep, figures=figures, old="refly" if refly else "keep" if keep_old else "ask",
         force=force, watch=watch, progress=lambda below: Progress("flights", below), say=say,
     )  # fmt: skip
-    result, metric = swept.result, swept.metric
+    result = swept.result
+    metric = swept.metric
     record = {
         "out": swept.out,
         "files": swept.files,

@@ -114,4 +114,5 @@ def fit_spelling(word: str) -> Command:
     return command(fit_word)
 
 
-fit_gp, fit_drag = fit_spelling("gp"), fit_spelling("drag")
+fit_gp = fit_spelling("gp")
+fit_drag = fit_spelling("drag")

@@ -179,7 +179,8 @@ def show(
 
 
 def _beliefs(path: Path, out: Path | None, force: bool) -> Answer:
-    beliefs, drawing = service("beliefs", "--beliefs"), service("drawing", "--beliefs")
+    beliefs = service("beliefs", "--beliefs")
+    drawing = service("drawing", "--beliefs")
     figure = None if out is None else drawing.check_path(out, force)
     flight = beliefs.read_beliefs(path)
     table = beliefs.beliefs_table(flight)

@@ -151,7 +151,8 @@ def _library(name: str, sources: Sequence[tuple[str, Sequence[str]]]) -> Path:
     def one_part(i: int, scratch: Path) -> tuple[Path, Path]:
         text, flags = sources[i]
         structure, numbers = numbers_apart(text, i)
-        unlinked, data = scratch / f"built{i}.o", scratch / f"numbers{i}.c"
+        unlinked = scratch / f"built{i}.o"
+        data = scratch / f"numbers{i}.c"
         if numbers or len(sources) > 1:
             unlinked.write_bytes(_cached(name, structure, flags, ".o", compiled(structure, flags)).read_bytes())
         else:
@@ -175,7 +176,8 @@ def _library(name: str, sources: Sequence[tuple[str, Sequence[str]]]) -> Path:
 def numbers_apart(source: str, part: int = 0) -> tuple[str, str]:
     """Generated C without its numbers, each of which is an element of an array; and the source of that array, "" where
     there are none. part: of a library, whose parts have arrays of their own."""
-    numbers, name = NUMBER.findall(source), f"casadi_numbers{part or ''}"
+    numbers = NUMBER.findall(source)
+    name = f"casadi_numbers{part or ''}"
     if not numbers:
         return source, ""
     array = f'const double {name}[{len(numbers)}] __attribute__((visibility("hidden")))'
@@ -281,8 +283,10 @@ class BufferedFunction:
 
     def each(self, values: np.ndarray) -> np.ndarray:
         """First result at many values of the first argument, (k, size) -> (k, result size); only of a compiled one."""
-        argument, result = next(iter(self.arguments.values())), next(iter(self.results.values()))
-        inputs, results = np.ascontiguousarray(values, float), np.empty((len(values), result.size))
+        argument = next(iter(self.arguments.values()))
+        result = next(iter(self.results.values()))
+        inputs = np.ascontiguousarray(values, float)
+        results = np.empty((len(values), result.size))
         if inputs.shape != (len(values), argument.size) or self.for_c is None:
             raise ValueError(f"{self.function.name()}: must be compiled, the values (k, {argument.size})")
         places = (inputs.ctypes.data, argument.size, results.ctypes.data, result.size, len(inputs))

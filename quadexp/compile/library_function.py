@@ -12,4 +12,5 @@ class LibraryFunction(ca.Function):
 
     def __init__(self, function: ca.Function, library: Path) -> None:
         super().__init__(ca.external(function.name(), str(library)))
-        self.library, self.origin = library, function
+        self.library = library
+        self.origin = function

@@ -66,7 +66,8 @@ class Sums(Memory):
 
     def __init__(self, owner: str, sizes: Mapping[str, int]) -> None:
         super().__init__(owner, sizes)
-        self.of_next, self.pairs = self.of_now, []
+        self.of_next = self.of_now
+        self.pairs = []
 
 
 def sizes_of(functions: Iterable[ca.Function]) -> dict[str, int]:
@@ -88,7 +89,8 @@ def connected(
     """The function on the arrays that it reads and writes, so that nothing is copied.
 
     places: of arguments, results: of results that are no memory; what is in neither gets an array of its own."""
-    read, written = dict(places), dict(results)
+    read = dict(places)
+    written = dict(results)
     if memory is not None:
         read |= {NOW + name: values for name, values in memory.of_now.items()}
         written |= {NEXT + name: values for name, values in memory.of_next.items()}

@@ -70,7 +70,9 @@ class CompiledLoop:
     """
 
     def __init__(self, running: Running, period: float) -> None:
-        self.running, instant, inputs = running, running.control_step, running.inputs
+        self.running = running
+        instant = running.control_step
+        inputs = running.inputs
         calls = [_structure_of(o) for o in instant.calls]
         self._calls = (STEP_CALL * len(calls))(*calls)
         self.mpc = None if instant.plan is None else self._mpc(instant.plan)
@@ -105,9 +107,12 @@ class CompiledLoop:
 
     def record(self, took: float) -> StepRecord:
         """Of the last step, which took so long (s)."""
-        instant, mpc = self.running.control_step, self.mpc
+        instant = self.running.control_step
+        mpc = self.mpc
         if mpc is not None:
-            status, sweeps, active = Status(int(mpc.status)), int(mpc.sweeps), int(mpc.active)
+            status = Status(int(mpc.status))
+            sweeps = int(mpc.sweeps)
+            active = int(mpc.active)
             instant.plan.record = StepRecord(took, status, sweeps, active, mpc.kkt, bool(mpc.converged))
         return instant.record(took)
 
@@ -119,12 +124,14 @@ class UserLoop(CompiledLoop):
         super().__init__(controller.running, controller.control_period)
         self._controller, self._reference, self.command = controller, reference, self.running.control_step.command
         self._plan = None if self.mpc is None else self.running.control_step.plan.mpc
-        rows, n = reference.where.shape[1], len(self.command)
+        rows = reference.where.shape[1]
+        n = len(self.command)
         first = NUMBERS.size // 8
         self._given = numbers = np.zeros(first + N_STATE + 3 + n)
         self._state, self._force, self._speed = np.split(numbers[first:], [N_STATE, N_STATE + 3])
         states, inputs, position, yaw = (np.zeros(size) for size in ((rows, N_STATE), (rows - 1, n), (5, 3), 4))
-        self._window, self._drift = (states, inputs, position, yaw[:3]), yaw[3:]
+        self._window = (states, inputs, position, yaw[:3])
+        self._drift = yaw[3:]
         alone = CompiledReference((states, inputs, np.arange(rows)[None]), (position[None], yaw[None]))
         self._alone, s = alone, self.structure
         s.given, s.reference, s.window = numbers.ctypes.data, *map(_address, (reference, alone))
@@ -184,7 +191,8 @@ def _address(reference: CompiledReference) -> int:
 @cache
 def _library() -> ctypes.CDLL:  # which keeps the interpreter's lock: a step is shorter than handing it over
     library = strict_library("loop", SOURCE, loader=ctypes.PyDLL)
-    library.step.argtypes, library.step.restype = [ctypes.c_void_p], ctypes.c_int
+    library.step.argtypes = [ctypes.c_void_p]
+    library.step.restype = ctypes.c_int
     return library
 
 
@@ -206,7 +214,8 @@ def goes_in_c(controller: Any) -> bool:
 
 def _structure_of(o: Call) -> ctypes.Structure:
     """As C has it."""
-    counted, function = o.to if o.to is not None else o.source, o.function
+    counted = o.to if o.to is not None else o.source
+    function = o.function
     count = 0 if counted is None else counted.strides[0] // 8 if o.kind == "window" else counted.size
     after = o.source if o.kind == "commit" else None
     places = addresses({"to": o.to, "source": o.source, "other": o.other, "when": o.when, "next": after})

@@ -86,10 +86,13 @@ class InputArrays:
     """
 
     def __init__(self, rotors: int) -> None:
-        self.state, self.specific_force, self.rotor_speed = np.zeros(N_STATE), np.zeros(3), np.zeros(rotors)
+        self.state = np.zeros(N_STATE)
+        self.specific_force = np.zeros(3)
+        self.rotor_speed = np.zeros(rotors)
         self.fresh = np.zeros(2)
         self.accelerometer_valid, self.rotor_speed_valid = self.fresh[:1], self.fresh[1:]
-        self.path, self.yaw = np.zeros((5, 3)), np.zeros(4)
+        self.path = np.zeros((5, 3))
+        self.yaw = np.zeros(4)
         self.t = 0.0
         self.window: Window
 
@@ -170,7 +173,8 @@ class Running:
     """The calls of a controller, and the arrays that have its inputs. k: instants since the flight began."""
 
     def __init__(self, controller: Any) -> None:
-        self.inputs, self.k = InputArrays(controller.vehicle.n_rotors), 0
+        self.inputs = InputArrays(controller.vehicle.n_rotors)
+        self.k = 0
         step: ControlStep = controller.control_step(self.inputs, self.inputs.state)
         kept = [Call("commit", *pair) for memory in step.memory for pair in memory.pairs]
         self.control_step = step._replace(calls=[*step.calls, *kept])
@@ -242,10 +246,12 @@ def control_step_of(controller: Any, inputs: InputArrays, state: np.ndarray) -> 
 
 def stepped(controller: Controller, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
     """The step of a controller. One in Python may give its thrusts alone: FAILED where they are not finite."""
-    began, result = time.perf_counter(), controller.step(measurement, window)
+    began = time.perf_counter()
+    result = controller.step(measurement, window)
     if isinstance(result, tuple):
         return result
-    u, vehicle = np.asarray(result, float), controller.vehicle
+    u = np.asarray(result, float)
+    vehicle = controller.vehicle
     limited = int(((u <= vehicle.thrust_min) | (u >= vehicle.thrust_max)).sum())
     status = Status.OK if np.isfinite(u).all() else Status.FAILED
     return u, StepRecord(time.perf_counter() - began, status, 0, limited, 0.0)
@@ -253,7 +259,8 @@ def stepped(controller: Controller, measurement: Measurement, window: Window) ->
 
 def _stepped(controller: Controller, inputs: InputArrays, state: np.ndarray) -> ControlStep:
     """A controller whose step is Python, as one call."""
-    command, records = np.zeros(controller.vehicle.n_rotors), list[StepRecord]()
+    command = np.zeros(controller.vehicle.n_rotors)
+    records = list[StepRecord]()
 
     def step() -> None:
         force = inputs.specific_force.copy() if inputs.accelerometer_valid[0] else None

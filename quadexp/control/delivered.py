@@ -55,11 +55,13 @@ def delivered_by_commands(
     commands, thrust: before it. sent: the command that was sent at its beginning, (n,) (N). numbers: of Delays.
     """
     acting = ca.horzcat(commands, sent)
-    first, mean = thrust, 0
+    first = thrust
+    mean = 0
     for i in range(min(acting.size2(), 2)):
         u = acting[:, i]
         after = decayed(thrust, u, numbers[2 + i])
-        mean, thrust = mean + numbers[i] * u, after
+        mean = mean + numbers[i] * u
+        thrust = after
     return acting[:, 1:], thrust, mean + numbers[4] * (first - thrust)
 
 
@@ -79,7 +81,8 @@ def delivered_thrust(
     next_values = {"commands": ca.vec(commands), "thrust": thrust}
     if measured is None:
         return thrust, mean, next_values
-    before, had = kept["before"][:n], kept["before"][n]
+    before = kept["before"][:n]
+    had = kept["before"][n]
     now = turning * measured + (1 - turning) * thrust
     share = turning * had * numbers[-1] / 2  # of the thrusts a period ago
     mean = turning * (share * before + (1 - share) * measured) + (1 - turning) * mean

@@ -69,9 +69,14 @@ class Inputs:
         later: bool = False,
     ) -> None:
         """kind: of symbols. residual: the model of the air. later: air is a symbol too, which is put in later."""
-        self.vehicle, self.about, self.period = vehicle, about, about.period
-        self.residual, self.air_thrusts = residual, "thrusts"
-        self.kind, self._later, n = kind, later, vehicle.n_rotors
+        self.vehicle = vehicle
+        self.about = about
+        self.period = about.period
+        self.residual = residual
+        self.air_thrusts = "thrusts"
+        self.kind = kind
+        self._later = later
+        n = vehicle.n_rotors
         self._shapes = {
             "state": (N_STATE, 1), "reference": (N_STATE, 1), "thrusts": (n, 1), "thrusts_middle": (n, 1),
             "path": (3, 5), "heading": (3, 1), "drift": (1, 1), "specific_force": (3, 1), "rotor_speed": (n, 1),
@@ -125,16 +130,20 @@ class Inputs:
     def _deliver(self) -> tuple[Any, Any]:
         """`delivered` and `mean`; what they need of the commands is remembered."""
         if self._thrusts is None:
-            delays, coefficient = self.about.delays, self.vehicle.thrust_coefficient
+            delays = self.about.delays
+            coefficient = self.vehicle.thrust_coefficient
             sizes = kept_sizes(self.vehicle.n_rotors, delays)
-            measured, turning = None, 0
+            measured = None
+            turning = 0
             if coefficient is not None and self.about.speeds:
-                measured, turning = coefficient * self.rotor_speed**2, self.fresh[1]
+                measured = coefficient * self.rotor_speed**2
+                turning = self.fresh[1]
             else:
                 sizes.pop("before")
             kept = {name: self.symbol(NOW + name, (size, 1)) for name, size in sizes.items()}
             now, mean, next_values = delivered_thrust(kept, kept["sent"], ca.DM(delays.numbers), measured, turning)
-            self._thrusts, self.left = (now, mean), {NEXT + name: value for name, value in next_values.items()}
+            self._thrusts = (now, mean)
+            self.left = {NEXT + name: value for name, value in next_values.items()}
         return self._thrusts
 
 
@@ -143,7 +152,10 @@ class Symbols:
     numbers each has. what: they are, for messages."""
 
     def __init__(self, inputs: Inputs, prefix: str, sizes: Mapping[str, int], what: str) -> None:
-        self._inputs, self._prefix, self._sizes, self._what = inputs, prefix, sizes, what
+        self._inputs = inputs
+        self._prefix = prefix
+        self._sizes = sizes
+        self._what = what
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name not in self._sizes:

@@ -91,7 +91,9 @@ class Layer(WrappedController):
         kept: Mapping[str, np.ndarray] | None = None,
     ) -> None:  # fmt: skip
         super().__init__(wrapped)
-        self.part, self.about, self.control_period = part, about, about.period
+        self.part = part
+        self.about = about
+        self.control_period = about.period
         self.every = round(wrapped.control_period / about.period)
         asked = backend or wrapped.backend
         self._functions = cached_function(
@@ -179,7 +181,8 @@ class Layer(WrappedController):
 
     def _believing(self) -> list[Call]:
         """What tells the controller inside of the belief, where that is not written where it reads it."""
-        wrapped, belief = self.wrapped, self.results.get("belief")
+        wrapped = self.wrapped
+        belief = self.results.get("belief")
         if belief is None or in_calls(wrapped):
             return []
         return [python(lambda: wrapped.believe(belief_of(belief)))]  # type: ignore[attr-defined]
@@ -208,12 +211,15 @@ def layer_functions(
     part: LayerPart, vehicle: Vehicle, about: Circumstances, residual: Residual | None
 ) -> list[ca.Function]:
     """`before` and `after` of a layer, as functions whose names end so; one that gives nothing is left out."""
-    functions, sizes, result_names = list[ca.Function](), dict[str, int](), list[str]()
+    functions = list[ca.Function]()
+    sizes = dict[str, int]()
+    result_names = list[str]()
     known = {"state", "belief", "command", *part.logged}
     for which in ("before", "after"):
         inputs = Inputs(vehicle, about, ca.MX, residual)
         kept = sizes_given(part, part.remembers(inputs))
-        memory, before = remembered(inputs, kept), Symbols(inputs, FOUND, sizes, "what `before` gave")
+        memory = remembered(inputs, kept)
+        before = Symbols(inputs, FOUND, sizes, "what `before` gave")
         more = [before] if which == "after" else []
         equations = partial(getattr(part, which), vehicle, inputs, memory, *more)
         wanted = {"state": N_STATE, "belief": N_BELIEF, "command": vehicle.n_rotors, **kept}

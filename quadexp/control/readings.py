@@ -68,7 +68,8 @@ class ReadingGate:
 
     def _read(self, name: str, reading: Any) -> tuple[np.ndarray, bool]:
         """A reading as an array, and whether all its numbers may be used."""
-        values, size = np.asarray(reading, float), len(self._names[name])
+        values = np.asarray(reading, float)
+        size = len(self._names[name])
         if values.shape != (size,):
             detail = ": p, q (w first), v, w" if name == "state" else ""
             raise UsageError(f"{name}: {values.shape} numbers are given, ({size},) are needed{detail}")

@@ -25,9 +25,12 @@ class WrappedController(InCalls):
     def __init__(self, wrapped: Controller) -> None:
         self.wrapped = wrapped
         self.vehicle: Vehicle = wrapped.vehicle
-        self.control_period, self.node_times = wrapped.control_period, wrapped.node_times
-        self.reference_period, self.backend = wrapped.reference_period, wrapped.backend
-        self.residual_name, self.source = wrapped.residual_name, wrapped.source
+        self.control_period = wrapped.control_period
+        self.node_times = wrapped.node_times
+        self.reference_period = wrapped.reference_period
+        self.backend = wrapped.backend
+        self.residual_name = wrapped.residual_name
+        self.source = wrapped.source
 
     @property
     def residual(self) -> Residual | None:

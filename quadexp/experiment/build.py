@@ -66,7 +66,8 @@ def cached(record: Any, make: Callable[[], T]) -> T:
 @contextlib.contextmanager
 def unshared() -> Iterator[None]:
     """What is built inside is new, and nobody else gets it: parts have states, such as what a controller identified."""
-    kept, _kept.things = _kept.things, {}
+    kept = _kept.things
+    _kept.things = {}
     try:
         yield
     finally:
@@ -160,7 +161,9 @@ def _check_one_lag(config: Config, plant: Any) -> None:
 
 def _with_drag(config: Config) -> Any:
     """The plant with `truth.drag` times its drag and lift. Raises UsageError where it has none of these settings."""
-    factor, plant, names = getattr(config.truth, "drag", 1.0), config.plant, ("linear_drag", "quadratic_drag")
+    factor = getattr(config.truth, "drag", 1.0)
+    plant = config.plant
+    names = ("linear_drag", "quadratic_drag")
     if factor == 1.0:
         return plant
     if not all(hasattr(plant, name) for name in (*names, "lift")):
@@ -194,7 +197,8 @@ def build_trajectory(config: Any, vehicle: Vehicle | None = None) -> Any:
 def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelFile | None) -> Any:
     """The controller inside its remedies; one is kept for every (configuration, model), and begins anew with every
     flight."""
-    controller, around = config.controller, remedies(config)
+    controller = config.controller
+    around = remedies(config)
     believed: Any = [part_identity("plant", config.plant), [*world_parts(config)]]
     if not controller.knows_plant:
         believed = model.sha256 if model else ""

@@ -100,7 +100,8 @@ def collect_flights(
     Raises UsageError where the controller lacks its model, worlds differ in something else, or one of them makes the
     loop unstable, QuadexpError where no path of a speed can be flown.
     """
-    model, settings = find_model(config), config.collect
+    model = find_model(config)
+    settings = config.collect
     vehicle = build_vehicle(config.vehicle)
     worlds = worlds or [config]
     for world in worlds:
@@ -169,7 +170,8 @@ def _trajectory(
 
 def setpoints(extent: float, clearance: float, speed: float, duration: float, rng: np.random.Generator) -> Setpoints:
     """Random points in a cube of side `extent` (m) above `clearance`, each held for a minimum-snap move at `speed`."""
-    points, times = [rng.uniform(0.0, extent, 3)], [0.0]
+    points = [rng.uniform(0.0, extent, 3)]
+    times = [0.0]
     while times[-1] < duration:
         point = rng.uniform(0.0, extent, 3)
         times.append(times[-1] + max(0.1, PEAK_OVER_MEAN * float(np.linalg.norm(point - points[-1])) / speed))
@@ -262,7 +264,8 @@ def collect_dataset(
     Returns the report. Raises UsageError for a repeated flight, which could be held out and fitted, and for equal names
     to be saved.
     """
-    vehicle, settings = build_vehicle(config.vehicle), config.collect
+    vehicle = build_vehicle(config.vehicle)
+    settings = config.collect
     if flights:
         refuse_repeated("collect", [file.resolve() for file in flights])
         if save_flights is not None:
@@ -289,7 +292,9 @@ def collect_dataset(
     if len(worlds) > len(flown):
         notes.append(f"warning: {len(flown)} flights in the first of {len(worlds)} worlds: raise collect.duration")
     speed = norms(dataset.matrix(VELOCITY))
-    median, high, largest = float(np.median(speed)), float(np.percentile(speed, 95)), float(speed.max())
+    median = float(np.median(speed))
+    high = float(np.percentile(speed, 95))
+    largest = float(speed.max())
     seconds = float(np.sum(dataset.columns["dt"]))
     rows = "samples" if dataset.metadata["frame"] == "sample" else "transitions"
     kind = f"target {target}" if target else f"frame {settings.frame}"

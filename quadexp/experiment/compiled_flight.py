@@ -37,7 +37,8 @@ FLIGHT = structure(SOURCE, "flight")
 @cache
 def _library() -> ctypes.CDLL:
     library = strict_library("flight", INSTANT, SOURCE)
-    library.fly.argtypes, library.fly.restype = [ctypes.c_void_p, ctypes.c_longlong], ctypes.c_longlong
+    library.fly.argtypes = [ctypes.c_void_p, ctypes.c_longlong]
+    library.fly.restype = ctypes.c_longlong
     return library
 
 
@@ -80,18 +81,24 @@ class CompiledFlight:
         noise: Streams,
         lost_distance: float,
     ) -> None:
-        period, self._plant = plant.prepared(controller.control_period), plant
-        self._drawn, self._world = noise, isinstance(plant, World)
-        self._x, self._inner = np.empty(N_STATE), np.empty(len(plant.inner))
+        period = plant.prepared(controller.control_period)
+        self._plant = plant
+        self._drawn = noise
+        self._world = isinstance(plant, World)
+        self._x = np.empty(N_STATE)
+        self._inner = np.empty(len(plant.inner))
         rotors = np.array(plant.rotor_places, np.int64) if hasattr(plant, "rotor_speed") else None
         if logged is None:
             logged = np.arange(log["inner"].shape[1])
-        instant, inputs = controller.running.control_step, controller.running.inputs
+        instant = controller.running.control_step
+        inputs = controller.running.inputs
         self.flies = goes_in_c(controller) and sum(array.size for array in instant.logged) == log["extra"].shape[1]
         if not self.flies:
             return
         self._loop = CompiledLoop(controller.running, controller.control_period)
-        self._reference, self._told, self._turning = CompiledReference(reference, path), inputs, rotors is not None
+        self._reference = CompiledReference(reference, path)
+        self._told = inputs
+        self._turning = rotors is not None
         arrays = {f"plant_{name}": period.arguments[name] for name in ("x", "inner", "u")}
         arrays |= {name: period.results[name] for name in ("x_next", "inner_next", "specific_force", "doubt")}
         if self._world:
@@ -103,7 +110,8 @@ class CompiledFlight:
         arrays["extra_sizes"] = np.array([array.size for array in instant.logged], np.int64)
         arrays |= {f"log_{name}": array for name, array in log.items()}
         self._arrays = arrays  # which must live as long as their addresses
-        names, table = list(period.arguments), self._reference
+        names = list(period.arguments)
+        table = self._reference
         finite = max(np.abs(table.states).max(), np.abs(table.inputs).max()) < LARGEST
         self._flight = FLIGHT(
             **addresses(arrays),
@@ -130,24 +138,33 @@ class CompiledFlight:
         plan = self._loop.running.control_step.plan if self.flies else None
         if not self.flies or (plan is not None and plan.mpc.cold):
             return k, False, x, reading
-        flight, plant, drawn, inputs, mpc = self._flight, self._plant, self._drawn, self._told, self._loop.mpc
+        flight = self._flight
+        plant = self._plant
+        drawn = self._drawn
+        inputs = self._told
+        mpc = self._loop.mpc
         self._x[:], inputs.specific_force[:], self._inner[:] = x, reading, plant.inner
         inputs.state[:] = plant.measured if self._world else x
         inputs.accelerometer_valid[0], inputs.rotor_speed_valid[0] = 1.0, self._turning
         if self._turning:
             inputs.rotor_speed[:] = plant.rotor_speed
-        flight.time, flight.next_change = plant.time, plant.next_change
+        flight.time = plant.time
+        flight.next_change = plant.next_change
         flight.commanded = False
         records = self._arrays["log_record"]
         if mpc is not None:
             _, mpc.status, mpc.sweeps, mpc.active, mpc.kkt, mpc.converged = records[k - 1]
         while True:
-            flight.noise, flight.first_drawn, flight.end_drawn = drawn.block.ctypes.data, drawn.first, drawn.end
+            flight.noise = drawn.block.ctypes.data
+            flight.first_drawn = drawn.first
+            flight.end_drawn = drawn.end
             k = _library().fly(ctypes.byref(flight), k)
             if not (flight.commanded and k == drawn.end):
                 break
             drawn.draw()
-        drawn.taken, plant.time, plant.inner = k, flight.time, self._inner.copy()
+        drawn.taken = k
+        plant.time = flight.time
+        plant.inner = self._inner.copy()
         if self._world:
             plant.measured = inputs.state.copy()
         at = k + flight.commanded

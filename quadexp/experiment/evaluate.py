@@ -78,7 +78,8 @@ def thrust_excess(trajectory: Any, vehicle: Vehicle, reference: Any = None) -> s
     except UsageError as error:
         return str(error)
     collective = reference.input.sum(axis=1)
-    low, high = vehicle.n_rotors * vehicle.thrust_min, vehicle.n_rotors * vehicle.thrust_max
+    low = vehicle.n_rotors * vehicle.thrust_min
+    high = vehicle.n_rotors * vehicle.thrust_max
     beyond = np.maximum(collective - high, low - collective)
     at = int(np.argmax(beyond))
     if beyond[at] <= 0:
@@ -172,7 +173,8 @@ class Loop:
         options: see rollout.fly."""
         from quadexp.experiment.rollout import fly
 
-        reference, start = _reference(trajectory, self.controller, digest), getattr(trajectory, "start_state", None)
+        reference = _reference(trajectory, self.controller, digest)
+        start = getattr(trajectory, "start_state", None)
         return fly(self.plant, self.controller, reference, rng, start=start, **options)
 
 
@@ -231,7 +233,8 @@ def fly_one(
 
     note = cached(["path", path_digest, *beside], check) if known else check()
     loop = build_loop(config, model)
-    controller, flown = loop.controller, through(loop)
+    controller = loop.controller
+    flown = through(loop)
     limits = {"lost_distance": config.trajectory.lost_distance, "lost_box": config.trajectory.lost_box}
     metadata = describe(config, vehicle, model)
     flight = flown.fly(
@@ -297,7 +300,8 @@ def infeasible_flight(config: Config, model: ModelFile | None, cause: str) -> Fl
 
 def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[str, Any]:
     """The metadata of every flight."""
-    identity, record = identity_with(config, model), flight_record(config)
+    identity = identity_with(config, model)
+    record = flight_record(config)
     parts = {group: getattr(config, group) for group, part in record.items() if isinstance(part, dict)}
     classes = {group: part.class_path for group, part in parts.items()}
     return {
@@ -313,7 +317,9 @@ def describe(config: Config, vehicle: Vehicle, model: ModelFile | None) -> dict[
 
 def result_row(config: Config, flight: Flight) -> dict[str, Any]:
     """The row of one flight in a table of results."""
-    metadata, rate, vehicle = flight.metadata, getattr(config.controller, "rate", None), config.vehicle
+    metadata = flight.metadata
+    rate = getattr(config.controller, "rate", None)
+    vehicle = config.vehicle
     metrics = flight_metrics(flight, vehicle.thrust_min, vehicle.thrust_max, 1 / rate if rate else None)
     outside = metadata.get("outside_data") or {}
     return {

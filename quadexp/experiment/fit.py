@@ -30,7 +30,8 @@ def fit_checkpoint(
 
     Raises UsageError or DataError before anything is written.
     """
-    data, vehicle = read_dataset(dataset), build_vehicle(config.vehicle)
+    data = read_dataset(dataset)
+    vehicle = build_vehicle(config.vehicle)
     flown = data.metadata.get("vehicle") or {}
     if flown.get("fingerprint") != vehicle.fingerprint:
         raise DataError(

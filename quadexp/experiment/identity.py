@@ -311,7 +311,8 @@ def identity_with(
         record["model"] = None  # a checkpoint that is not used decides nothing
     inputs = {"model": model.sha256} if model else {}
     files = {f"{file.path}/{MODEL_FILE}": file.sha256 for file in model.files} if model else {}
-    modules, packages = {*flying(), *((*FITTING, *served(*FITTING_SERVICES)) if fitted else ())}, set[str]()
+    modules = {*flying(), *((*FITTING, *served(*FITTING_SERVICES)) if fitted else ())}
+    packages = set[str]()
     for group, part in {**parts, **_own_models(config, model)}.items():
         if (group, id(part)) not in known:
             deciding = decides(group, part)
@@ -355,7 +356,8 @@ def _program(modules: frozenset[str], packages: frozenset[str], with_model: bool
     """Hash of the sources of this package and of the libraries that some modules are made of; and the packages that not
     every flight imports. packages: that a user's modules import. with_model: whether a checkpoint is read, by the
     module that it names; what this one imports for a fit decides no flight."""
-    program, always = program_of(modules), program_of(flying()).packages
+    program = program_of(modules)
+    always = program_of(flying()).packages
     readers = model_modules(package_folder()) if with_model else set()
     behind = [program_of(modules | readers).sources, platform.python_version()]
     libraries = numeric_versions(program.packages | packages)

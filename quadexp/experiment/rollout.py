@@ -45,7 +45,9 @@ class SampledReference:
     def __init__(self, trajectory: Trajectory, controller: Controller | ModelPredictiveController) -> None:
         controller = as_controller(controller)
         controller.forget()
-        self._trajectory, self._vehicle, self._backend = trajectory, controller.vehicle, controller.backend
+        self._trajectory = trajectory
+        self._vehicle = controller.vehicle
+        self._backend = controller.backend
         samples = int(np.floor(trajectory.duration / controller.control_period + 1e-6)) + 1
         self.t = np.arange(samples) * controller.control_period
         ahead = np.concatenate([[0.0], controller.node_times])  # a horizon need not begin now
@@ -56,13 +58,15 @@ class SampledReference:
         self._grid = np.unique(np.concatenate([np.unique(where[block]) for block in blocks]))
         for block in blocks:
             where[block] = np.searchsorted(self._grid, where[block])
-        self._now, self._where = where[:, 0], where[:, 1:]
+        self._now = where[:, 0]
+        self._where = where[:, 1:]
         self._stride = _common_stride(self._where)
         flat = trajectory.flat_output(self.t)
         self._position = flat.position
         self._follow_heading = flat.yaw is None
         self.free_heading = flat.yaw is None and not getattr(trajectory, "counts_heading", False)
-        self._yaw, self._drift = np.zeros((samples, 3)) if flat.yaw is None else flat.yaw, np.zeros(samples)
+        self._yaw = np.zeros((samples, 3)) if flat.yaw is None else flat.yaw
+        self._drift = np.zeros(samples)
         self._residual: Residual | object | None = self  # none yet
         self.reference: Reference
         self.renew(controller.residual)
@@ -100,9 +104,11 @@ class SampledReference:
 
     def horizon(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """States (N + 1, 13) and inputs (N, n) over the horizon from control instant k; read-only."""
-        where, stride = self._where[k], self._stride
+        where = self._where[k]
+        stride = self._stride
         if stride:
-            first, last = where.item(0), where.item(-1)
+            first = where.item(0)
+            last = where.item(-1)
             return self.reference.state[first : last + 1 : stride], self.reference.input[first:last:stride]
         return self.reference.state[where], self.reference.input[where[:-1]]
 
@@ -185,7 +191,8 @@ def fly(
     inner = _Inner(plant, period)
     log = _Log(len(reference), plant.vehicle.n_rotors, len(inner.names), world is not None and world.estimates)
     reading = np.array([0.0, 0.0, plant.vehicle.gravity])
-    measured, speed = None, None
+    measured = None
+    speed = None
     measured_state = x if world is None else world.measured
     controller.reset(measured_state, reference.window(0))
     gate = ReadingGate(plant.vehicle.n_rotors)
@@ -193,8 +200,11 @@ def fly(
     box = None if lost_box is None else reference.box(lost_box)
     inside = lost_distance if lost_box is None else min(lost_distance, lost_box)  # surely not lost
     in_c = inner.places is not None and covers(plant, controller, rng)
-    outcome, cause, shares = "ok", "", np.full(len(reference), reference.residual_share)
-    k, commanded = 0, False
+    outcome = "ok"
+    cause = ""
+    shares = np.full(len(reference), reference.residual_share)
+    k = 0
+    commanded = False
     while k < len(reference):
         if not commanded:
             t = float(reference.t[k])
@@ -205,18 +215,22 @@ def fly(
             error = x[POSITION] - state_reference[POSITION]
             distance = math.sqrt(error.dot(error))
             if math.isnan(distance):
-                outcome, cause = "lost", f"the plant's state is not finite at t={t:.2f} s"
+                outcome = "lost"
+                cause = f"the plant's state is not finite at t={t:.2f} s"
                 break
             if distance > lost_distance:
-                outcome, cause = "lost", f"{distance:.1f} m from the reference at t={t:.2f} s"
+                outcome = "lost"
+                cause = f"{distance:.1f} m from the reference at t={t:.2f} s"
                 break
             if box is not None and not (box[0] <= x[POSITION]).all() & (x[POSITION] <= box[1]).all():
-                outcome, cause = "lost", f"{lost_box:g} m outside the box of the reference at t={t:.2f} s"
+                outcome = "lost"
+                cause = f"{lost_box:g} m outside the box of the reference at t={t:.2f} s"
                 break
             try:
                 asked = gate.admit(Measurement(t, measured_state, measured, speed)), reference.window(k)
             except QuadexpError as error:
-                outcome, cause = "solver_failed", str(error)
+                outcome = "solver_failed"
+                cause = str(error)
                 break
             began = time.perf_counter()
             u, record = stepped(controller, *asked)
@@ -229,12 +243,14 @@ def fly(
                 compiled = CompiledFlight(plant, controller, *arrays, inner.places, noise, inside)
                 in_c = compiled.flies
             if record.status == Status.FAILED:
-                outcome, cause = "solver_failed", f"the control step failed at t={t:.2f} s"
+                outcome = "solver_failed"
+                cause = f"the control step failed at t={t:.2f} s"
                 break
         try:
             x, reading = plant.advance(x, u, period, noise)
         except ModelDomainError as error:
-            outcome, cause = "lost", str(error)
+            outcome = "lost"
+            cause = str(error)
             break
         k += 1
         commanded = False
@@ -246,7 +262,8 @@ def fly(
                 u = log.input[last].copy()
                 gate.admit(Measurement(float(reference.t[last]), log.state[last], log.reading[last], None))
         measured_state = x if world is None else world.measured
-        measured, speed = reading, getattr(plant, "rotor_speed", None)
+        measured = reading
+        speed = getattr(plant, "rotor_speed", None)
     if not log.rows:
         raise QuadexpError(f"the flight ended before its first sample: {cause}")
     wanted = log.state_reference[: log.rows]
@@ -276,7 +293,10 @@ class Renewal:
     """
 
     def __init__(self, period: int) -> None:
-        self._period, self._wait, self._next, self.failed = period, period, period, 0
+        self._period = period
+        self._wait = period
+        self._next = period
+        self.failed = 0
 
     def due(self, k: int) -> bool:
         return bool(self._period) and k >= self._next
@@ -299,13 +319,15 @@ class _Inner:
     """
 
     def __init__(self, plant: Plant, period: float) -> None:
-        self._plant, self._attributes = plant, [name for name in INNER_STATES if hasattr(plant, name)]
+        self._plant = plant
+        self._attributes = [name for name in INNER_STATES if hasattr(plant, name)]
         sizes = [] if isinstance(plant, World) else [(name, len(getattr(plant, name))) for name in self._attributes]
         self.names = [f"{name}_{j}" for name, size in sizes for j in range(size)]
         self.places: np.ndarray | None = None
         if isinstance(plant, World):
             columns = plant.columns(period)
-            self.names, self.places = [*columns], np.array([*columns.values()], np.int64)
+            self.names = [*columns]
+            self.places = np.array([*columns.values()], np.int64)
         elif isinstance(plant, SimulatedPlant) and [*plant.inner_columns] == self.names:
             self.places = np.arange(len(self.names))
 
@@ -325,10 +347,12 @@ class _Log:
         self.rows = 0
         self.state, self.state_reference = np.empty((2, samples, len(STATE_COLUMNS)))
         self.input, self.input_reference = np.empty((2, samples, rotors))
-        self.reading, self.record = np.empty((samples, 3)), np.empty((samples, len(StepRecord._fields)))
+        self.reading = np.empty((samples, 3))
+        self.record = np.empty((samples, len(StepRecord._fields)))
         self.inner = np.empty((samples, inner))
         self.estimate = np.empty((samples if estimates else 0, len(STATE_COLUMNS)))
-        self.extra, self.extra_names = np.empty((samples, 0)), list[str]()
+        self.extra = np.empty((samples, 0))
+        self.extra_names = list[str]()
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What flight.c fills."""
@@ -349,7 +373,8 @@ class _Log:
         took: float,
         extra: dict[str, float],
     ) -> None:
-        k, self.rows = self.rows, self.rows + 1
+        k = self.rows
+        self.rows = self.rows + 1
         self.state[k], self.input[k], self.reading[k], self.record[k] = x, u, reading, record
         self.record[k, 0] = took  # with all that is around the MPC
         self.state_reference[k], self.input_reference[k] = state_reference, input_reference
@@ -362,7 +387,8 @@ class _Log:
 
     def columns(self, t: np.ndarray, inner_names: list[str]) -> dict[str, np.ndarray]:
         """Named columns of the flown samples."""
-        flown, inputs = slice(self.rows), input_columns(self.input.shape[1])
+        flown = slice(self.rows)
+        inputs = input_columns(self.input.shape[1])
         columns = {"t": t[flown]}
         columns |= named(STATE_COLUMNS, self.state[flown].T)
         columns |= named(inputs, self.input[flown].T)

@@ -39,7 +39,9 @@ def allowed_bytes(path: Path) -> int:
 def check_declared(path: str | Path, file: Any) -> None:
     """Raise DataError where an open pyarrow.parquet.ParquetFile declares more than a file of its size holds, or columns
     that are neither numbers nor text. Only the footer is read, and of text that many rows share its dictionary."""
-    allowed, metadata, names = allowed_bytes(Path(path)), file.metadata, file.schema_arrow.names
+    allowed = allowed_bytes(Path(path))
+    metadata = file.metadata
+    names = file.schema_arrow.names
     text = _text_columns(path, file.schema_arrow)
     declared = 0
     for i in range(metadata.num_row_groups):
@@ -192,10 +194,13 @@ def _place(content: bytes, key: bytes) -> slice | None:
     start = content.find(bytes([len(key)]) + key + b"\x18", footer)
     if start < 0:
         return None
-    at, size, shift = start + len(key) + 2, 0, 0
+    at = start + len(key) + 2
+    size = 0
+    shift = 0
     for byte in content[at:]:
         size |= (byte & 0x7F) << shift
-        at, shift = at + 1, shift + 7
+        at = at + 1
+        shift = shift + 7
         if byte < 0x80:
             break
     return slice(at, at + size)

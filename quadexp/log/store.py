@@ -128,7 +128,8 @@ def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
     raw = (schema.metadata or {}).get(METADATA_KEY, b"")
     try:
         record = json.loads(raw)
-        stored_kind, version = record["kind"], record["schema"]
+        stored_kind = record["kind"]
+        version = record["schema"]
     except (TypeError, ValueError, KeyError, RecursionError):
         raise WrongFileError(f"{path}: a Parquet file, but not one that quadexp wrote") from None
     if version != SCHEMA:
@@ -216,7 +217,8 @@ def _read_columns(file: Any) -> tuple[dict[str, np.ndarray], bytes]:
     """All columns of an open file, and their hash. A long table is never in memory twice."""
     import pyarrow as pa
 
-    names, columns = file.schema_arrow.names, {}
+    names = file.schema_arrow.names
+    columns = {}
     long = file.metadata.num_rows > LONG
     whole = None if long else file.read()
 

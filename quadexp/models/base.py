@@ -165,7 +165,8 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
 
     def acceleration(self, rows: ResidualDataset) -> np.ndarray:
         """Predicted residual acceleration, body frame, (k, 3) (m/s^2)."""
-        predictions, zero = self.predict(rows), np.zeros(rows.n_rows)
+        predictions = self.predict(rows)
+        zero = np.zeros(rows.n_rows)
         return np.column_stack([predictions[a].mean if a in predictions else zero for a in AXIS])
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:

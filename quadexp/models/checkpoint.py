@@ -60,7 +60,8 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None, unknown: boo
     if not file.is_file():
         raise UsageError(f"{path}: no model there; make one with {COMMANDS.format(path=path)}")
     document = _decoded(file)
-    schema, digest = document.get("schema"), document.get("sha256")
+    schema = document.get("schema")
+    digest = document.get("sha256")
     payload: Any = document.get("payload")
     if schema != SCHEMA:
         raise DataError(f"{file}: has schema {schema}, this program reads schema {SCHEMA}; fit it again")

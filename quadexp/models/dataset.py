@@ -157,7 +157,10 @@ def transitions(
 
     k = consecutive(t, flight.columns.get("segment"))
     k = k[finite_rows(thrust[k])]
-    before, after, u, dt = state[k], state[k + 1], thrust[k], np.diff(t)[k]
+    before = state[k]
+    after = state[k + 1]
+    u = thrust[k]
+    dt = np.diff(t)[k]
     before[:, ATTITUDE] = _unit(before[:, ATTITUDE], k)
     after[:, ATTITUDE] = _unit(after[:, ATTITUDE], k + 1)
     after[:, ATTITUDE] *= np.where(np.sum(before[:, ATTITUDE] * after[:, ATTITUDE], axis=1) < 0, -1.0, 1.0)[:, None]
@@ -173,7 +176,8 @@ def transitions(
     torque = gap[:, RATE] @ vehicle.inertia_matrix
     if frame == "midpoint":
         # contribution of the difference itself to w x J w, to first order in dt
-        w, inertia = point[:, RATE], vehicle.inertia_matrix
+        w = point[:, RATE]
+        inertia = vehicle.inertia_matrix
         gyroscopic = np.cross(gap[:, RATE], w @ inertia) + np.cross(w, torque)
         torque = torque + dt[:, None] / 2 * gyroscopic
 
@@ -232,7 +236,8 @@ def joined(
     Raises DataError for a flight of another vehicle.
     """
     names = names or [name_of(flight, i) for i, flight in enumerate(flights)]
-    tables, records = [], []
+    tables = []
+    records = []
     for index, (flight, name) in enumerate(zip(flights, names, strict=True)):
         flown = (flight.metadata.get("vehicle") or {}).get("fingerprint", vehicle.fingerprint)
         if flown != vehicle.fingerprint:
@@ -347,7 +352,8 @@ def known_noise(
     thrust = dataset.matrix([f"u_{i}" for i in range(vehicle.n_rotors)])
     dt = np.asarray(dataset.columns["dt"], float)
     for index, world in enumerate(worlds):
-        plant, estimator = world.get("plant") or {}, (world.get("estimator") or {}) if of_estimate else {}
+        plant = world.get("plant") or {}
+        estimator = (world.get("estimator") or {}) if of_estimate else {}
         if plant.get("kind") not in SILENT or (estimator and not all(name in estimator for name in ESTIMATE)):
             return None
         rows = flight == index

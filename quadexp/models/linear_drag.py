@@ -168,7 +168,8 @@ def linear_drag_residual(
 def adapting_drag(vehicle: Vehicle, residual: Residual, deviation: float) -> Adapting:
     """The residual of linear drag with parameters that adapt. deviation: s of quadexp.plugins.remedies.online,
     m/s^2."""
-    typical, blocks = np.array([TYPICAL_SPEED, 1.0, vehicle.mass * vehicle.gravity]), []
+    typical = np.array([TYPICAL_SPEED, 1.0, vehicle.mass * vehicle.gravity])
+    blocks = []
     for axis, count in enumerate((2, 2, 3)):
         at = np.array([axis, 3 + axis, 6])[:count]
         blocks.append(Block(axis, at, residual.theta[at], deviation * np.diag(1 / typical[:count])))
@@ -199,7 +200,8 @@ def fit_linear_drag(
     coefficients, and where the rows do not determine the coefficients (for instance with a constant velocity).
     """
     value, error, freedom = np.zeros((3, N_PARAMETERS))
-    std, r_squared = np.zeros(3), np.zeros(3)
+    std = np.zeros(3)
+    r_squared = np.zeros(3)
     flight = dataset.columns["flight"]
     for i, axis in enumerate(AXES):
         names = [f"v_{axis}"] + [THRUST] * (thrust and axis == "z")

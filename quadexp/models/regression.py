@@ -116,7 +116,8 @@ def regress(
     coefficients, limit = solve(x, target, loss)
     residual = target - x @ coefficients
     if over == "flights":
-        covariance, freedom = np.zeros((p, p)), np.zeros(p)
+        covariance = np.zeros((p, p))
+        freedom = np.zeros(p)
         if intervals:
             covariance, freedom = _over_flights(x, target, flight, coefficients, loss)
     else:
@@ -127,7 +128,8 @@ def regress(
             covariance, blocks = over_blocks(scores, information, stretch, flight)
             freedom = np.array(max(blocks - p, 1))
         else:
-            covariance, freedom = np.linalg.inv(information) * (residual @ residual / (n - p)), np.array(n - p)
+            covariance = np.linalg.inv(information) * (residual @ residual / (n - p))
+            freedom = np.array(n - p)
     covariance = covariance / np.outer(length, length)
     return Regression(tuple(names), coefficients / length, covariance, residual, freedom, condition)
 
@@ -148,7 +150,8 @@ def solve(
         if not limit > 1e-12 * np.abs(target).max():  # most residuals are zero
             return coefficients, np.inf
         root = np.sqrt(np.minimum(1.0, limit / np.maximum(np.abs(residual), limit)))
-        before, coefficients = coefficients, np.linalg.lstsq(x * root[:, None], target * root, rcond=None)[0]
+        before = coefficients
+        coefficients = np.linalg.lstsq(x * root[:, None], target * root, rcond=None)[0]
         if np.abs(coefficients - before).max() <= tolerance * np.abs(coefficients).max():
             break
     return coefficients, limit
@@ -174,7 +177,8 @@ def over_blocks(
     prior: P_0^-1 of coefficients with a prior, (p, p), which adds to the scatter of the block sums.
     """
     groups = blocks_of(scores, stretch, flight)
-    count, p = int(groups.max()) + 1, scores.shape[1]
+    count = int(groups.max()) + 1
+    p = scores.shape[1]
     sums = np.column_stack([np.bincount(groups, column, count) for column in scores.T])
     half = np.linalg.solve(information, sums.T)
     inverse = np.linalg.inv(information)
@@ -190,7 +194,8 @@ def _over_flights(
     """
     number = np.unique(flight, return_inverse=True)[1]
     groups = number % MOST_GROUPS
-    count, p = int(groups.max()) + 1, x.shape[1]
+    count = int(groups.max()) + 1
+    p = x.shape[1]
     undefined = np.zeros((p, p)), np.zeros(p)
     if count < 2:
         return undefined

@@ -139,7 +139,8 @@ def without(data: ResidualDataset, model: Model, label: str) -> ResidualDataset:
 
 def score(target: np.ndarray, mean: np.ndarray, std: np.ndarray) -> Row:
     """rmse, nlpd, inside_1, inside_2, n of predictions (k,) with standard deviations (k,) for targets (k,)."""
-    error, std = target - mean, np.maximum(std, 1e-12)
+    error = target - mean
+    std = np.maximum(std, 1e-12)
     scaled = error / std
     return {
         "rmse": root_mean_square(error),
@@ -179,13 +180,15 @@ def paired_ratio(error: np.ndarray, other: np.ndarray, flight: np.ndarray) -> Ra
     for index in np.unique(flight):
         mean, base = (max(float(np.mean(values[flight == index] ** 2)), 1e-24) for values in (error, other))
         logs.append(0.5 * np.log(mean / base))
-    middle, half = float(np.mean(logs)), between_flights(np.array(logs), np.ones(len(logs)), CONFIDENCE)
+    middle = float(np.mean(logs))
+    half = between_flights(np.array(logs), np.ones(len(logs)), CONFIDENCE)
     return Ratio(float(np.exp(middle)), float(np.exp(middle - half)), float(np.exp(middle + half)), len(logs))
 
 
 def noise_floor(residuals: Sequence[np.ndarray], dataset: ResidualDataset) -> float:
     """Noise of an output (see the module), the least over the residuals (k,) of several predictors; NaN if unknown."""
-    t, flight = np.asarray(dataset.columns["t"], float), dataset.columns["flight"]
+    t = np.asarray(dataset.columns["t"], float)
+    flight = dataset.columns["flight"]
     step = float(np.median(np.asarray(dataset.columns["dt"], float)))
     gap = t[LAG:] - t[:-LAG]
     together = (flight[LAG:] == flight[:-LAG]) & (gap > 0) & (gap < DT_RANGE[1] * LAG * step)
@@ -198,14 +201,17 @@ def verdict(model: Model, train: ResidualDataset, test: ResidualDataset) -> dict
     """Comparison that `fit` reports, JSON-able: flights (held out), of (how many), duration of these (s), outputs
     {a_x: {...}}, beside [...]: the model's rivals; for recorded flights also what the service `recorded_verdict` finds.
     model: fitted to train."""
-    flight, target = np.asarray(test.columns["flight"]), test.matrix(ACCELERATION)
-    of_drag, predictions = target - baseline(train, intervals=False).acceleration(test), model.predict(test)
+    flight = np.asarray(test.columns["flight"])
+    target = test.matrix(ACCELERATION)
+    of_drag = target - baseline(train, intervals=False).acceleration(test)
+    predictions = model.predict(test)
     of_model = of_drag.copy()
     outputs: dict[str, Any] = {}
     for output, axis in ((name, axis) for name, axis in AXIS.items() if name in predictions):
         of_model[:, axis] = target[:, axis] - predictions[output].mean
         errors = of_model[:, axis], of_drag[:, axis]
-        rmse, floor = rms(errors[0]), noise_floor(errors, test)
+        rmse = rms(errors[0])
+        floor = noise_floor(errors, test)
         outputs[output] = paired_ratio(*errors, flight).record() | {
             "rmse": rmse, "drag_rmse": rms(errors[1]), "noise": floor,
             "unexplained": float(np.sqrt(max(rmse**2 - floor**2, 0.0))),

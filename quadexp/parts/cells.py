@@ -127,7 +127,8 @@ def iterate_validated(cells: Iterable[Cell]) -> Iterator[Cell]:
     invalid, no cell has a key that is given, or a value is none that its key allows."""
     errors: dict[str, UsageError] = {}  # override -> why the first cell refused it
     accepted: Counter[str] = Counter()
-    first, valid = None, False
+    first = None
+    valid = False
     for place, cell in enumerate(cells):
         if place % 100 == 0:
             set_status(f"composing cell {place}")

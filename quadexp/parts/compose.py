@@ -197,7 +197,8 @@ class Composer:
         config = replace(config, world=self._world_name(config, chosen, values))
         if not is_name(config.world):
             raise UsageError(f"world={config.world!r}: its name must be one printable line")
-        baseline, controllers = config.evaluate.baseline, self.options("controller")
+        baseline = config.evaluate.baseline
+        controllers = self.options("controller")
         if baseline not in controllers:
             raise UsageError(f"evaluate.baseline={baseline}: no such controller{suggestion(baseline, controllers)}")
         return config
@@ -246,7 +247,8 @@ class Composer:
             if options.get(group) is None:
                 continue
             option = str(options[group])
-            values, text = self._files.option(group, option).values, f"{group}={option}"
+            values = self._files.option(group, option).values
+            text = f"{group}={option}"
             self._files.note_covered(group, option)
             if group in GLOBAL:
                 for name, value in values.items():
@@ -334,7 +336,8 @@ def _joined(name: str, layers: Sequence[Layer], files: OptionFiles) -> tuple[Any
 
 def check_key(content: Any, key: str, files: OptionFiles) -> None:
     """UsageError where the content has no such key. files: the options, those that are not chosen too."""
-    root, parts = content, key.split(".")
+    root = content
+    parts = key.split(".")
     for i, part in enumerate(parts):
         if isinstance(content, dict) and part in content:
             content = content[part]
@@ -428,7 +431,8 @@ def _product(overrides: Sequence[Override]) -> Grid:
     """The values of every key, as overrides; of a key that is given twice the last counts."""
     grid: dict[str, tuple[str, ...]] = {}
     for override in overrides:
-        key, sweep = override.key, override.sweep
+        key = override.key
+        sweep = override.sweep
         grid[key] = (override.text,) if sweep is None else tuple(f"{key}={value}" for value in sweep)
     return tuple(grid.values())
 

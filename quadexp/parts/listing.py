@@ -65,7 +65,8 @@ def _options(files: OptionFiles, group: str) -> list[Record]:
 
 def _keys(files: OptionFiles, group: str, option: str) -> list[Record]:
     """The keys of an option with what it sets them to; of a preset or bundle what it sets."""
-    part, stated = files.part_of(group, option), files.option(group, option)
+    part = files.part_of(group, option)
+    stated = files.option(group, option)
     if part is None:
         sets = stated.chosen | {key: value for key, value in stated.values.items() if not key.startswith("_")}
         return [{"key": key, "value": shown(value), "allowed": "", "meaning": ""} for key, value in sets.items()]
@@ -132,9 +133,13 @@ def candidates(words: list[str], incomplete: str, conf: Folders = None) -> list[
     values = key_words(next((name for name in options if f"{name}." in line), ""), conf) | options
     bare = False
     if not incomplete and words and words[-1] in values:
-        key, value, bare = words[-1], "", True
+        key = words[-1]
+        value = ""
+        bare = True
     elif len(words) >= 2 and words[-1] == "=":
-        key, value, bare = words[-2], incomplete, True
+        key = words[-2]
+        value = incomplete
+        bare = True
     elif "=" in incomplete:
         key, _, value = incomplete.partition("=")
     else:

@@ -156,7 +156,8 @@ class OptionFiles:
 
     def named(self, group: str, option: Any) -> str | None:
         """The option of this name; None where there is none. `none` is the one that does nothing."""
-        options, option = self.options(group), str(option)
+        options = self.options(group)
+        option = str(option)
         if option in options or option != "none":
             return option if option in options else None
         stated = ((name, each.path) for name in options for each in self.definitions[f"{group}/{name}"])
@@ -222,7 +223,8 @@ class OptionFiles:
         stated = {group_of(str(key)): value for key, value in content.items() if key != "defaults"}
         defaults = content.get("defaults") or []
         values: dict[str, Any] = {}
-        chosen, inherited = dict[str, str](), dict[str, str]()
+        chosen = dict[str, str]()
+        inherited = dict[str, str]()
         for entry in [*defaults, *([] if "_self_" in defaults else ["_self_"])]:
             text = str(entry)
             if "${" in text:
@@ -384,7 +386,8 @@ def read_data(path: Path) -> Any:
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     refusal = UsageError(f"{path}: more than {MOST_VALUES} values with their aliases, or {DEEPEST} levels")
     if not path.is_relative_to(conf_folder()):  # whose own files are what they are
-        loader, level = _spelling(loader), 0
+        loader = _spelling(loader)
+        level = 0
         for event in yaml.parse(text, Loader=loader):  # the loader itself would end in a crash
             level += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
             if level > DEEPEST:

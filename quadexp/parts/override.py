@@ -187,7 +187,8 @@ def plain_override(text: str) -> Override | None:
     if not _KEY.fullmatch(key):
         return None
     if several := _RANGE.fullmatch(value):
-        start, stop = int(several[1] or 0), int(several[2])
+        start = int(several[1] or 0)
+        stop = int(several[2])
         refuse_range(text, start, stop, 1)
         return Override(key, None, text, range(start, stop))
     items = ITEM.findall(value)

@@ -61,7 +61,8 @@ class SensorSpec:
 
 def later_speeds(sheet: SensorSpec) -> float:
     """By how much rotor speeds are older than the body rates (s), as far as it is stated."""
-    speeds, gyroscope = sheet.rotor_speed, sheet.gyroscope
+    speeds = sheet.rotor_speed
+    gyroscope = sheet.gyroscope
     if speeds is None:
         return 0.0
     rates = 0.0 if gyroscope is None else gyroscope.delay or 0.0

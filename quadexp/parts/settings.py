@@ -173,7 +173,8 @@ def _declared(node: type) -> dict[str, Declared]:
             continue
         optional = NoneType in get_args(kinds)
         kind = next(k for k in get_args(kinds) if k is not NoneType) if optional else kinds
-        arguments, origin = get_args(kind), get_origin(kind)
+        arguments = get_args(kind)
+        origin = get_origin(kind)
         words = arguments if origin is Literal else setting.words
         length = len(arguments) if origin is tuple and arguments[-1] is not Ellipsis else 0
         settings[f.name] = Declared(f.name, kind, setting, optional, words, length, f)
@@ -231,7 +232,8 @@ def _lacking(node: type, values: Mapping[str, Any], prefix: str) -> list[str]:
 def plain(node: type) -> dict[str, Any]:
     """The defaults of a class as a configuration file would state them; REQUIRED where there is none."""
     defaults: dict[str, Any] = {}
-    keys, others = declared(node), {f.name: f.default for f in fields(node)}
+    keys = declared(node)
+    others = {f.name: f.default for f in fields(node)}
     for name in keys_of(node):
         key = keys.get(name)
         if key and key.node and not key.optional:
@@ -306,7 +308,8 @@ def _checked(key: str, value: Any, about: Declared) -> Any:
     if value is None and about.optional:
         return None
     value = _typed(key, value, about.type)
-    interval, unit = about.setting.interval, about.setting.unit
+    interval = about.setting.interval
+    unit = about.setting.unit
     if about.words and value not in about.words:
         raise ForbiddenValueError(f"{key}={value}: must be one of {', '.join(about.words)}")
     if about.length and len(value) != about.length and not _is_rows(about.type):

@@ -57,7 +57,8 @@ def with_timing(config: Config, given: Collection[str], motor: str) -> Config:
         for name, value in known.items():
             at = "time" if name == "age" and group == "delay" else name
             if name == "motor_lag" and motor == "dead_time" and group == "controller":
-                at, value = "dead_time", value + known.get("dead_time", 0.0)
+                at = "dead_time"
+                value = value + known.get("dead_time", 0.0)
             elif name == "motor_lag" and getattr(part, "motor_lead", None):
                 at = "motor_lead"
             if at not in names:

@@ -53,8 +53,11 @@ def lagging_rk4_step(
     derivative: (state (13,), thrusts (n,)) -> state' of the body. added: thrust (N) beyond what the command gives, at
     the start, the middle and the end of the step, (n, 3). One classical Runge-Kutta step; the lag is exact.
     """
-    body, thrust = x[:N_STATE], x[N_STATE:]
+    body = x[:N_STATE]
+    thrust = x[N_STATE:]
     middle, end = (lagging_thrust(thrust, command, t, time_constant) for t in (dt / 2, dt))
     if added is not None:
-        thrust, middle, end = thrust + added[:, 0], middle + added[:, 1], end + added[:, 2]
+        thrust = thrust + added[:, 0]
+        middle = middle + added[:, 1]
+        end = end + added[:, 2]
     return ca.vertcat(rk4_step_with_input(derivative, body, (thrust, middle, end), dt), end)

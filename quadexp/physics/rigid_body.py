@@ -47,7 +47,9 @@ def state_derivative(
     x: state (13,). u: rotor thrusts (n,) (N).
     correction: [a_body (m/s^2), tau_body (N m)], (6,), or None for the nominal body.
     """
-    q, v, w = x[ATTITUDE], x[VELOCITY], x[RATE]
+    q = x[ATTITUDE]
+    v = x[VELOCITY]
+    w = x[RATE]
     wrench = ca.sparsify(ca.DM(vehicle.allocation)) @ u
     acceleration = along_z(wrench[0] / vehicle.mass)
     torque = wrench[1:]

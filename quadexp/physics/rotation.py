@@ -76,7 +76,10 @@ def heading_rate(q: np.ndarray, w: np.ndarray) -> np.ndarray:
 
 def _entries(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], ...]:
     """Rows of R; floats, arrays or expressions."""
-    ww, xx, yy, zz = w * w, x * x, y * y, z * z
+    ww = w * w
+    xx = x * x
+    yy = y * y
+    zz = z * z
     double = 2 / (ww + xx + yy + zz)
     return (
         (1 - double * (yy + zz), double * (x * y - w * z), double * (x * z + w * y)),
@@ -87,7 +90,10 @@ def _entries(w: Any, x: Any, y: Any, z: Any) -> tuple[tuple[Any, Any, Any], ...]
 
 def left_matrix(q: Expression) -> Expression:
     """L(q), (4, 4), of the Hamilton product: L(q) p = q o p. Orthogonal where q is a unit quaternion."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
+    w = q[0]
+    x = q[1]
+    y = q[2]
+    z = q[3]
     return ca.vertcat(
         ca.horzcat(w, -x, -y, -z), ca.horzcat(x, w, -z, y), ca.horzcat(y, z, w, -x), ca.horzcat(z, -y, x, w)
     )
@@ -95,7 +101,10 @@ def left_matrix(q: Expression) -> Expression:
 
 def right_matrix(q: Expression) -> Expression:
     """M(q), (4, 4), of the Hamilton product: M(q) p = p o q. Orthogonal where q is a unit quaternion."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
+    w = q[0]
+    x = q[1]
+    y = q[2]
+    z = q[3]
     return ca.vertcat(
         ca.horzcat(w, -x, -y, -z), ca.horzcat(x, w, z, -y), ca.horzcat(y, -z, w, x), ca.horzcat(z, y, -x, w)
     )
@@ -136,7 +145,8 @@ def logarithm(q: Expression) -> Expression:
 def right_jacobian(phi: Expression) -> Expression:
     """J_r(phi), (3, 3): Exp(phi + d) = Exp(phi) o Exp(J_r d) to first order in d."""
     square = ca.sumsqr(phi) + SMALLEST
-    angle, cross = ca.sqrt(square), cross_matrix(phi)
+    angle = ca.sqrt(square)
+    cross = cross_matrix(phi)
     near = square < 1e-4  # where the quotients lose their digits, their series
     first = ca.if_else(near, 1 / 2 - square / 24, 2 * ca.sin(angle / 2) ** 2 / square)
     second = ca.if_else(near, 1 / 6 - square / 120, (angle - ca.sin(angle)) / (angle * square))

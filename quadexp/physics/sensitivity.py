@@ -90,7 +90,8 @@ def rk4_sensitivity_function(
 
     k, S = slope(x, thrust, *residual.function(as_scalars(body_features)(x, thrust), theta))
     k = pushed(k)
-    slopes, sensitivities = [k], [ca.horzcat(S, kind(N_MOTION, n)) if lag else S]
+    slopes = [k]
+    sensitivities = [ca.horzcat(S, kind(N_MOTION, n)) if lag else S]
     for c, column in ((dt / 2, 1), (dt / 2, 1), (dt, 2)):
         share = [ca.exp(-c / tau)] if lag else []
         delivered = lagging_thrust(start[N_STATE:], u, c, tau) if lag else u
@@ -141,7 +142,8 @@ def _with_thrusts(
     x_next: Expression, A: Expression, by_inputs: Expression, thrust: Expression, a: Expression
 ) -> list[Expression]:
     """x_next, A, B with the thrusts as states; by_inputs (13, 2 n): by the first thrusts and by the commands."""
-    n, unit = thrust.size1(), type(thrust).eye(thrust.size1())
+    n = thrust.size1()
+    unit = type(thrust).eye(thrust.size1())
     A = ca.vertcat(ca.horzcat(A, by_inputs[:, :n]), ca.horzcat(type(A)(n, N_STATE), a * unit))
     return [ca.vertcat(x_next, thrust), A, ca.vertcat(by_inputs[:, n:], (1 - a) * unit)]
 
@@ -157,7 +159,8 @@ def _combine(
     S2: Expression, S3: Expression, S4: Expression,
 ) -> list[Expression]:  # fmt: skip
     """x_next, A, B from the slopes and sensitivities of the four stages."""
-    kind, n = type(x), S1.size2() - N_MOTION
+    kind = type(x)
+    n = S1.size2() - N_MOTION
     start = ca.horzcat(kind.eye(N_MOTION), kind(N_MOTION, n))
     middle = S2 + S3
     three = S1 + middle
@@ -179,7 +182,8 @@ def _slope_function(vehicle: Vehicle, residual: Correction, *, dense: bool) -> c
         correction=N_OUTPUTS,
     )
     derivative = state_derivative(x, u, vehicle, correction)
-    motion, features = ca.vertcat(x[3:], u), body_features(x, u)
+    motion = ca.vertcat(x[3:], u)
+    features = body_features(x, u)
     partial, by_correction, derivative = (
         ca.substitute(expression, correction, ca.densify(y))
         for expression in (ca.jacobian(derivative[3:], motion), ca.jacobian(derivative[3:], correction), derivative)

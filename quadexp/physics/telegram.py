@@ -42,5 +42,6 @@ def vibration(angle: Expression, speed: Expression, hover: float, amplitude: Exp
     size = (speed / hover) ** 2
     if cutoff:
         size /= ca.sqrt(1 + (speed / (2 * math.pi * cutoff)) ** 2)
-    cosine, sine = ca.dot(size, ca.cos(angle)), ca.dot(size, ca.sin(angle))
+    cosine = ca.dot(size, ca.cos(angle))
+    sine = ca.dot(size, ca.sin(angle))
     return amplitude * ca.vertcat(cosine, sine, cosine)

@@ -183,9 +183,14 @@ def plausible(vehicle: Vehicle) -> Vehicle:
 
 
 def _ratios(vehicle: Vehicle) -> Iterator[Ratio]:
-    mass, thrust, k, rotor = vehicle.mass, vehicle.thrust_max, vehicle.thrust_coefficient, vehicle.rotor
-    arm, n = float(np.linalg.norm(vehicle.rotor_position, axis=1).max()), len(vehicle.rotor_position)
-    heavy, name = mass / arm**3, "mass / arm^3 (kg/m^3)"
+    mass = vehicle.mass
+    thrust = vehicle.thrust_max
+    k = vehicle.thrust_coefficient
+    rotor = vehicle.rotor
+    arm = float(np.linalg.norm(vehicle.rotor_position, axis=1).max())
+    n = len(vehicle.rotor_position)
+    heavy = mass / arm**3
+    name = "mass / arm^3 (kg/m^3)"
     if heavy < 5:
         cubes = {unit: factor**-3 for unit, factor in LENGTHS.items()}
         yield Ratio(f"rotor_position, an arm of {arm:.4g} m", name, heavy, 5, 5e3, cubes)
@@ -199,9 +204,12 @@ def _ratios(vehicle: Vehicle) -> Iterator[Ratio]:
     c = vehicle.torque_coefficient
     yield Ratio(f"torque_coefficient={c:.4g} m", "torque coefficient / arm", c / arm, 0, 3, LENGTHS)
     if k is not None:
-        name, speed = "largest rotor speed times arm (m/s)", math.sqrt(thrust / k) * arm
+        name = "largest rotor speed times arm (m/s)"
+        speed = math.sqrt(thrust / k) * arm
         yield Ratio(f"thrust_coefficient={k:.4g} N s^2", name, speed, 20, 800, {"N/rpm^2": math.pi / 30})
     if rotor is not None:
-        R, A, areas = rotor.radius, rotor.reference_area, {"cm^2": 1e-4, "mm^2": 1e-6}
+        R = rotor.radius
+        A = rotor.reference_area
+        areas = {"cm^2": 1e-4, "mm^2": 1e-6}
         yield Ratio(f"rotor.radius={R:.4g} m", "radius / arm", R / arm, 0.05, 1.5, LENGTHS)
         yield Ratio(f"rotor.reference_area={A:.4g} m^2", "area / arm^2", A / arm**2, 0.01, 30, areas)

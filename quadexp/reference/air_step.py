@@ -59,7 +59,10 @@ class AirModel:
     """y = h r(z), dy/dv_body and dy/du at many points, with a share h of the residual r (1 at first)."""
 
     def __init__(self, residual: Residual, backend: str = "interpreted") -> None:
-        self.name, self.residual, self.backend, self.share = residual.name, residual, backend, 1.0
+        self.name = residual.name
+        self.residual = residual
+        self.backend = backend
+        self.share = 1.0
         self._mapped: dict[int, ca.Function] = {}
 
     def scaled(self, share: float) -> AirModel:
@@ -78,7 +81,8 @@ class AirModel:
         k = z.shape[1]
         if k not in self._mapped:
             self._mapped[k] = self._function.map(k)
-        points, values = np.ascontiguousarray(z.T), np.empty((k, self._function.size1_out(0)))
+        points = np.ascontiguousarray(z.T)
+        values = np.empty((k, self._function.size1_out(0)))
         memory, evaluate = self._mapped[k].buffer()
         memory.set_arg(0, points.reshape(-1).data)
         memory.set_res(0, values.reshape(-1).data)
@@ -169,7 +173,8 @@ def _lateral_step(system: np.ndarray, right: np.ndarray, plain: np.ndarray) -> n
 def turned(force: np.ndarray, step: np.ndarray) -> np.ndarray:
     """l, (2, k), of the specific force f (3, k) in the tilt frame after rotating f by the step (2, k) in l."""
     across = np.stack([*step, -(force[:2] * step).sum(axis=0) / force[2]])
-    size, length = np.linalg.norm(force, axis=0), np.linalg.norm(across, axis=0)
+    size = np.linalg.norm(force, axis=0)
+    length = np.linalg.norm(across, axis=0)
     angle = np.minimum(length / size, MAX_TURN)
     after = force * np.cos(angle) + across * (size * np.sin(angle) / np.maximum(length, 1e-300))
     over = after[2] < 0  # beyond the equator: limited to its edge

@@ -65,7 +65,8 @@ class Ellipse(TrajectoryPart):
         t = np.atleast_1d(np.asarray(t, float))
         inside = (t >= 0.0) & (t <= self.end)
         t = np.clip(t, 0.0, self.end)
-        rate, major = self.acceleration / self.speed, self.speed**2 / self.acceleration
+        rate = self.acceleration / self.speed
+        major = self.speed**2 / self.acceleration
         turning = np.exp(1j * rate * t)[:, None] * (1j * rate) ** np.arange(N_DERIVATIVES)
         position = np.zeros((len(t), N_DERIVATIVES, 3))
         position[:, :, 0] = major * turning.imag
@@ -81,7 +82,9 @@ class Ellipse(TrajectoryPart):
 def _towards_centre(position: np.ndarray) -> np.ndarray:
     """Heading with its derivatives (k, 3) (rad, s) of flat outputs (k, 5, 3), continuous."""
     (x, x_1, x_2), (y, y_1, y_2) = position[:, :3, 0].T, position[:, :3, 1].T
-    square, moment = x * x + y * y, x * y_1 - y * x_1
-    square_1, moment_1 = 2 * (x * x_1 + y * y_1), x * y_2 - y * x_2
+    square = x * x + y * y
+    moment = x * y_1 - y * x_1
+    square_1 = 2 * (x * x_1 + y * y_1)
+    moment_1 = x * y_2 - y * x_2
     yaw = np.arctan2(-y, -x)
     return np.column_stack([yaw, moment / square, (moment_1 * square - moment * square_1) / square**2])

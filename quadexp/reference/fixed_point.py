@@ -99,18 +99,23 @@ class _Iteration:
         """Iterate from a guess; decoupled: with l' = l'' = 0, and shorter steps where the change does not fall."""
         if decoupled:
             air = Air.of_outputs(air.outputs)
-        change, share = np.full(len(self.demand.t), np.inf), np.ones(len(self.demand.t))
-        settled, step = decoupled, self._step
+        change = np.full(len(self.demand.t), np.inf)
+        share = np.ones(len(self.demand.t))
+        settled = decoupled
+        step = self._step
         smallest, waited = np.inf, 0  # change, and iterations since it fell to PROGRESS of its smallest value
         for i in range(self.settings.max_iterations):
             used, (predicted, outputs) = air, step(air)
-            before, change = change, np.abs(predicted - air.outputs).max(axis=0)
+            before = change
+            change = np.abs(predicted - air.outputs).max(axis=0)
             if decoupled:
                 longer = np.minimum(2 * share, 1) if i < PATIENCE else share  # later not: the iteration could cycle
                 share = np.where(change > FALLING * before, np.maximum(share / 2, SHORTEST), longer)
                 outputs = air.outputs + share * (outputs - air.outputs)
             if not settled and np.abs(outputs - air.outputs)[:2].max() < SETTLED:
-                settled, smallest, waited = True, np.inf, 0
+                settled = True
+                smallest = np.inf
+                waited = 0
             air = Air.of_outputs(outputs)
             if settled and not decoupled:
                 air = Air(outputs, *self.calculus.differentiate(outputs[:2]))

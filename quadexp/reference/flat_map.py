@@ -51,7 +51,8 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def untwisted(vector: np.ndarray, chi: np.ndarray) -> np.ndarray:
     """R_z(chi) vector: a body vector in tilt-frame coordinates; (2, k) or (3, k), chi (k,) rad."""
-    cosine, sine = np.cos(chi), np.sin(chi)
+    cosine = np.cos(chi)
+    sine = np.sin(chi)
     return stacked(cosine * vector[0] - sine * vector[1], sine * vector[0] + cosine * vector[1], *vector[2:])
 
 
@@ -75,7 +76,8 @@ class Tilt:
         w, x, y = self.quaternion
         a, b, c = vector
         upright = 1 - 2 * (x * x + y * y)
-        around, up = 2 * (x * a + y * b), 2 * w * c
+        around = 2 * (x * a + y * b)
+        up = 2 * w * c
         return stacked(
             a * upright + x * around - y * up, b * upright + y * around + x * up, c * upright + 2 * w * (y * a - x * b)
         )
@@ -96,7 +98,8 @@ class Tilt:
 
         jerk, snap: (3, k), world. lateral_1, lateral_2: l' (m/s^3), l'' (m/s^4), (2, k).
         """
-        jerk, snap = self.into_frame(jerk), self.into_frame(snap)
+        jerk = self.into_frame(jerk)
+        snap = self.into_frame(snap)
         o = self.solve(*(jerk[:2] - lateral_1))
         coupling = cross(o, 2 * jerk - cross(o, self.force))
         return o, self.solve(*((snap - coupling)[:2] - lateral_2))
@@ -109,7 +112,8 @@ class Tilt:
     def body_quaternion(self, chi: np.ndarray) -> np.ndarray:
         """Body to world, Hamilton, w first, (4, k)."""
         w, x, y = self.quaternion
-        c, s = np.cos(chi / 2), np.sin(chi / 2)
+        c = np.cos(chi / 2)
+        s = np.sin(chi / 2)
         return np.stack([w * c, x * c + y * s, y * c - x * s, w * s])
 
 
@@ -123,8 +127,10 @@ def tilt(specific_force: np.ndarray, lateral: np.ndarray) -> Tilt:
     size = np.sqrt((specific_force**2).sum(axis=0))
     force = np.stack([*lateral, np.sqrt(np.maximum(size**2 - (lateral**2).sum(axis=0), 0.0))])
     with np.errstate(divide="ignore", invalid="ignore"):
-        before, after = force / size, specific_force / size
-        turn, middle = cross(before, after), before + after
+        before = force / size
+        after = specific_force / size
+        turn = cross(before, after)
+        middle = before + after
         w = middle[2] * (1 + (before * after).sum(axis=0))
         quaternion = np.stack([w, *(middle[2] * turn - turn[2] * middle)[:2]])
         square = (quaternion**2).sum(axis=0)
@@ -133,7 +139,8 @@ def tilt(specific_force: np.ndarray, lateral: np.ndarray) -> Tilt:
 
 def free_body_rates(o: np.ndarray, o_dot: np.ndarray, chi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Body rate w and w', (3, k) each, for w_z = 0 and the twist chi, (k,) (rad)."""
-    w, w_dot = twisted(o, chi), twisted(o_dot, chi)
+    w = twisted(o, chi)
+    w_dot = twisted(o_dot, chi)
     w[2] = w_dot[2] = 0.0
     _add_turn(w_dot, w, -o[2])
     return w, w_dot
@@ -146,11 +153,13 @@ def heading_body_rates(
 
     chi: of Tilt.heading_twist. yaw: (3, k): rad, rad/s, rad/s^2.
     """
-    cosine, sine = np.cos(yaw[0]), np.sin(yaw[0])
+    cosine = np.cos(yaw[0])
+    sine = np.sin(yaw[0])
     zero = np.zeros_like(cosine)
     h = twisted(frame.into_frame(np.stack([cosine, sine, zero])), chi)
     e = twisted(frame.into_frame(np.stack([-sine, cosine, zero])), chi)
-    w, w_dot = twisted(o, chi), twisted(o_dot, chi)
+    w = twisted(o, chi)
+    w_dot = twisted(o_dot, chi)
     w[2] = (yaw[1] * e[1] + w[0] * h[2]) / h[0]
     _add_turn(w_dot, w, w[2] - o[2])
     right = yaw[2] * e[1] - 2 * yaw[1] * cross(w, e)[1] + cross(w, cross(w, h))[1]

@@ -36,7 +36,8 @@ from quadexp.reference.time_grid import TimeGrid
 
 # On the last change of the residual's outputs, m/s^2 and N m: the error is some tenths of it; and of each of the two
 # iterations of fixed_point.py, which also end when they stall.
-TOLERANCE, ITERATIONS = 1e-9, 100
+TOLERANCE = 1e-9
+ITERATIONS = 100
 COARSE_TOLERANCE = 1e-5  # m/s^2, N m: accuracy of the interpolation between coarse nodes
 COARSE_ITERATIONS = 30  # at most; a fixed point that contracts by half reaches 1e-9
 BISECTIONS = 5  # of the share of the residual: its resolution and least value is 1/32
@@ -70,7 +71,8 @@ def flat_reference(
     """
     t = np.atleast_1d(np.asarray(t, float))
     demand = Demand.of(trajectory, t, vehicle.gravity)
-    path, share = _Path(trajectory, demand, vehicle, Settings(TOLERANCE, ITERATIONS)), math.nan
+    path = _Path(trajectory, demand, vehicle, Settings(TOLERANCE, ITERATIONS))
+    share = math.nan
     if residual is not None and not residual.is_zero:
         motion, share = path.with_largest_share(AirModel(residual, backend))
     else:
@@ -118,14 +120,17 @@ class _Path:
         return self.under(None), 0.0
 
     def _with_part(self, model: AirModel) -> tuple[Motion, float] | None:
-        low, high, guess = 0.0, 1.0, np.zeros((N_OUTPUTS, len(self.grid.coarse().times)))
+        low = 0.0
+        high = 1.0
+        guess = np.zeros((N_OUTPUTS, len(self.grid.coarse().times)))
         for _ in range(BISECTIONS):
             middle = (low + high) / 2
             outputs = self._coarsely(model.scaled(middle), guess * (middle / low) if low else None)
             if outputs is None:
                 high = middle
             else:
-                low, guess = middle, outputs
+                low = middle
+                guess = outputs
         share = low
         while share >= 0.5**BISECTIONS:
             try:
@@ -151,7 +156,10 @@ class _Path:
         air, motion = self._on_grid(model, guess)
         t = self._times
         values, first, second = self.grid.interpolate(np.concatenate([air.outputs, motion.chi[None]]), t)
-        outputs, lateral_1, lateral_2, chi = values[:-1], first[:2], second[:2], values[-1]
+        outputs = values[:-1]
+        lateral_1 = first[:2]
+        lateral_2 = second[:2]
+        chi = values[-1]
         for held in (self.demand.t < t, self.demand.t > t):  # before the start, after the end: one constant state each
             if held.any():
                 rest = Demand.of(self.trajectory, self.demand.t[held][:1], self.vehicle.gravity)

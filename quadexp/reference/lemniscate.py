@@ -34,5 +34,6 @@ class Lemniscate(ProfiledPath):
     def flat_output(self, t: np.ndarray) -> FlatOutput:
         t, inside = hold_outside(t, self.duration)
         angle = self.angle(t)
-        x, y = self.radius * phasor(angle).real, self.radius / 2 * phasor(2 * angle).imag
+        x = self.radius * phasor(angle).real
+        y = self.radius / 2 * phasor(2 * angle).imag
         return flat_output_held(level_path(x, y, self.height), self.yaw, inside)

@@ -108,7 +108,8 @@ class ScaledPath:
         """The limit that keeps the peak speed below the requested one (m/s), in one line; "" if none."""
         if vehicle is None or self.limited_by == SPEED:
             return ""
-        parts, hover = [], vehicle.hover_thrust
+        parts = []
+        hover = vehicle.hover_thrust
         if requested is not None:
             parts.append(
                 f"peak speed {self.peak_speed:.3g} m/s instead of the requested {requested:g} m/s: a higher one would"
@@ -143,7 +144,8 @@ def time_scale(path: PPoly, vehicle: Vehicle | None, *, speed: float | None, mar
         return ScaledPath(path, fast)
     slow = fast
     for _ in range(DOUBLINGS):
-        fast, slow = slow, 2 * slow
+        fast = slow
+        slow = 2 * slow
         if demands.worst(slow)[0] <= 0:
             break
     else:
@@ -184,7 +186,8 @@ class _Demands:
     @cached_property
     def _sampled(self) -> tuple[TimeGrid, np.ndarray]:
         """Instants, and the derivatives 0 .. 4 of the path there, (5, d, k)."""
-        x, pieces = self.path.x, np.diff(self.path.x)
+        x = self.path.x
+        pieces = np.diff(self.path.x)
         spacing = max(min(pieces.mean() / STEPS, pieces.min() / FEWEST), (x[-1] - x[0]) / MOST)
         grid = TimeGrid.over(x[0], x[-1], spacing)
         return grid, np.stack([derivative(grid.times).T for derivative in derivatives(self.path)])
@@ -194,7 +197,8 @@ class _Demands:
         """Thrust of every rotor in hover, and its distance to the lower and to the upper limit, (n,) each (N)."""
         vehicle = self.vehicle
         hover = allocation_inverse(vehicle)[:, 0] * vehicle.mass * vehicle.gravity
-        below, above = hover - vehicle.thrust_min, vehicle.thrust_max - hover
+        below = hover - vehicle.thrust_min
+        above = vehicle.thrust_max - hover
         if min(below.min(), above.min()) <= 0:
             at = int(np.argmin(np.minimum(below, above)))
             raise UsageError(

@@ -83,7 +83,8 @@ class ProfiledPath(TrajectoryPart):
         section = np.searchsorted(start, t, side="right") - 1
         tau = t - start[section]
         c0, c1, k, rate, angle = (column[section] for column in (c0, c1, k, rate, angle))
-        sine, cosine = np.sin(k * tau), np.cos(k * tau)
+        sine = np.sin(k * tau)
+        cosine = np.cos(k * tau)
         result = np.empty((len(t), N_DERIVATIVES))
         result[:, 0] = angle + rate * tau + c0 * tau**2 / 2 + c1 * (1 - cosine) / k**2
         result[:, 1] = rate + c0 * tau + c1 * sine / k

@@ -77,8 +77,10 @@ class RandomPolynomial(LimitedTrajectory):
         rng = np.random.default_rng(self.seed)
         phases = np.concatenate([np.linspace(0, 1, N_PATH + 1), np.linspace(0, 1, self.keypoints)])
         points = np.column_stack([sum(_periodic_draw(phases, *kernel, rng) for kernel in axis) for axis in KERNELS])
-        path, keypoints = points[: N_PATH + 1], points[N_PATH + 1 :]
-        low, high = path.min(axis=0), path.max(axis=0)
+        path = points[: N_PATH + 1]
+        keypoints = points[N_PATH + 1 :]
+        low = path.min(axis=0)
+        high = path.max(axis=0)
         keypoints[-1] = keypoints[0]  # exactly closed
         return (keypoints - (low + high) / 2) * (self.extent / (high - low).mean())
 

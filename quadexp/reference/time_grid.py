@@ -29,7 +29,8 @@ def _difference_weights(order: int, width: int) -> np.ndarray:
 
 
 _WIDTH = 5  # points of a difference of fourth order
-_FIRST, _SECOND = _difference_weights(1, _WIDTH), _difference_weights(2, _WIDTH)
+_FIRST = _difference_weights(1, _WIDTH)
+_SECOND = _difference_weights(2, _WIDTH)
 _QUINTIC = np.linalg.inv(np.vander(np.arange(6.0), increasing=True))  # values at 0 .. 5 -> coefficients
 
 
@@ -72,7 +73,8 @@ class TimeGrid:
         coefficients = np.einsum("ij,djk->dik", _QUINTIC, values[:, first + np.arange(6)[:, None]])
         power = np.arange(6)[:, None]
         monomials = s**power
-        slope, bend = np.zeros_like(monomials), np.zeros_like(monomials)
+        slope = np.zeros_like(monomials)
+        bend = np.zeros_like(monomials)
         slope[1:] = power[1:] * monomials[:-1]
         bend[2:] = power[2:] * power[1:-1] * monomials[:-2]
         return (
@@ -84,7 +86,8 @@ class TimeGrid:
 
 def _apply(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Apply weights (5, 5) to values (d, n): central differences inside, one-sided at the two outer nodes."""
-    n, half = values.shape[1], _WIDTH // 2
+    n = values.shape[1]
+    half = _WIDTH // 2
     result = np.empty_like(values)
     result[:, half : n - half] = sum(weights[half, j] * values[:, j : n - _WIDTH + 1 + j] for j in range(_WIDTH))
     result[:, :half] = values[:, :_WIDTH] @ weights[:half].T

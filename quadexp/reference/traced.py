@@ -31,7 +31,8 @@ class Symbols(np.ndarray):
     """An object array of SX scalars that numpy's comparisons, choices and norms work on too."""
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
-        plain, into = [np.asarray(value) for value in inputs], options.pop("out", None)
+        plain = [np.asarray(value) for value in inputs]
+        into = options.pop("out", None)
         if ufunc in (np.minimum, np.maximum) and method == "reduce":
             return _symbols(_BY_ELEMENT[ufunc].reduce(plain[0], **options))
         if ufunc is np.logical_or and method == "reduce":  # any(): what may not be zero
@@ -102,7 +103,9 @@ class CompiledStep:
     """
 
     def __init__(self, demand: Demand, vehicle: Vehicle, model: AirModel, calculus: Calculus) -> None:
-        residual, self._demand, self._calculus = model.residual, demand, calculus
+        residual = model.residual
+        self._demand = demand
+        self._calculus = calculus
         functions = compiled_steps(vehicle, residual.form(True), demand.yaw is None)
         self._first, self._step = map(BufferedFunction, functions)
         self._step.arguments["theta"].ravel()[:], self._step.arguments["share"][:] = residual.theta, model.share

@@ -64,8 +64,11 @@ def check_flights(
     where these are some of them."""
     store = CellStore(root)
     flown = [row for row in rows if row["outcome"] not in ("failed", "invalid", "damaged")]
-    chosen, there = flown[:: max(1, -(-len(flown) // most))], store.done()
-    missing, unreadable, other = [], [], []
+    chosen = flown[:: max(1, -(-len(flown) // most))]
+    there = store.done()
+    missing = []
+    unreadable = []
+    other = []
     for row in chosen:
         key = str(row["key"])
         if key not in there:
@@ -120,7 +123,8 @@ def differing_libraries(texts: Iterable[str | None], here: str) -> str:
     texts: `libraries` of each row.
     """
     counts: Counter[str] = Counter()
-    cells, now = 0, _versions(here)
+    cells = 0
+    now = _versions(here)
     for text, rows in Counter(texts).items():
         other = _versions(text or "").items() - now.items()
         cells += rows if other else 0

@@ -74,7 +74,9 @@ class SweepFrame:
         record: Mapping[str, Any] | None = None,
         configs: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
-        self.rows, self.root, self.record = list(rows), Path(root), record or {}
+        self.rows = list(rows)
+        self.root = Path(root)
+        self.record = record or {}
         declare_record(self.record)
         self._read = configs or {}
         self._configs: dict[tuple[Any, ...], dict[str, Any]] = {}
@@ -97,7 +99,8 @@ class SweepFrame:
     def taken(self, order: Sequence[int]) -> SweepFrame:
         """The frame of the rows at these places, in this order."""
         frame = SweepFrame([self.rows[i] for i in order], self.root, self.record, self._read)
-        frame._configs, frame._gone = self._configs, self._gone
+        frame._configs = self._configs
+        frame._gone = self._gone
         return frame
 
     def column(self, name: str) -> list[Any]:
@@ -329,7 +332,8 @@ def setting_text(key: str, value: Any) -> str:
     """A setting in words with its unit: "wind [4,0,0] m/s" of wind.velocity, "latency 30 ms", "nodes 20".
 
     Times below a tenth of a second are in milliseconds."""
-    value, unit = read_value(value) if isinstance(value, str) else value, unit_of(key)
+    value = read_value(value) if isinstance(value, str) else value
+    unit = unit_of(key)
     text = canonical_text(value)
     if is_number(value):
         factor, unit = (1e3, "ms") if unit == "s" and 0 < value < MILLISECONDS else (1, unit)
@@ -344,7 +348,8 @@ def setting_column(key: str, texts: Sequence[str], beside: Sequence[str]) -> tup
 
     Numbers are as in `setting_text` as long as no two values look the same. beside: all keys that have a column; the
     heading is the whole key where two names are the same."""
-    numbers, unit = {text: read_value(text) for text in texts}, unit_of(key)
+    numbers = {text: read_value(text) for text in texts}
+    unit = unit_of(key)
     name = setting_name(key) if [*map(setting_name, beside)].count(setting_name(key)) == 1 else key
     if all(map(is_number, numbers.values())):
         factor, unit = (1e3, "ms") if unit == "s" and 0 < max(numbers.values()) < MILLISECONDS else (1, unit)

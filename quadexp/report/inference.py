@@ -69,14 +69,16 @@ def mean_interval(values: np.ndarray, confidence: float = 0.95, *, least: float 
     values = np.asarray(values, float)
     if not vary(values):
         return NO_INTERVAL
-    n, mean = len(values), float(np.mean(values))
+    n = len(values)
+    mean = float(np.mean(values))
     half = float(stdtrit(n - 1, (1 + confidence) / 2)) * float(np.std(values, ddof=1)) / math.sqrt(n)
     return Interval(max(mean - half, least), mean + half, "t")
 
 
 def reduction_interval(values: np.ndarray, baseline: np.ndarray, confidence: float = 0.95) -> Interval:
     """Interval of 100 (1 - mean values / mean baseline) (%) over pairs, both (n,), baseline with a mean above zero."""
-    values, baseline = np.asarray(values, float), np.asarray(baseline, float)
+    values = np.asarray(values, float)
+    baseline = np.asarray(baseline, float)
     if not len(values) or not np.mean(baseline) > 0:
         return NO_INTERVAL
     base = float(np.mean(baseline))
@@ -126,7 +128,8 @@ def sign_flips(differences: np.ndarray, kinds: Sequence[int] = ()) -> tuple[np.n
     """
     differences = np.atleast_2d(np.asarray(differences, float))
     alone, joint, attainable = np.full((3, len(differences)), math.nan)
-    signs, least = _signs(differences.shape[1]), np.full(1, math.inf)
+    signs = _signs(differences.shape[1])
+    least = np.full(1, math.inf)
     tested = np.flatnonzero(np.isfinite(differences).any(axis=1))
     weights = np.array(kinds or [1] * len(differences))
     for line in tested:

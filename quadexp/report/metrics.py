@@ -41,7 +41,9 @@ class Flown:
     """
 
     def __init__(self, flight: Flight, thrust_min: float, thrust_max: float, period: float | None = None) -> None:
-        self.flight, self.thrust_min, self.thrust_max = flight, thrust_min, thrust_max
+        self.flight = flight
+        self.thrust_min = thrust_min
+        self.thrust_max = thrust_max
         t = flight.t
         self.every = max(1, round(period / (t[1] - t[0]))) if period and len(t) > 1 and t[1] > t[0] else 1
 
@@ -242,8 +244,10 @@ def attitude_error(flight: Flight) -> np.ndarray:
     if free:
         from quadexp.physics.rotation import thrust_axis  # imports CasADi, which showing a flight does without
 
-        a, b = thrust_axis(a), thrust_axis(b)
-    apart, together = norms(a - b), norms(a + b)
+        a = thrust_axis(a)
+        b = thrust_axis(b)
+    apart = norms(a - b)
+    together = norms(a + b)
     if free:
         return 2 * np.arctan2(apart, together)
     return 4 * np.arctan2(np.minimum(apart, together), np.maximum(apart, together))
@@ -301,8 +305,10 @@ def renewed(flight: Flight) -> dict[str, Any]:
     """The metadata of a flight whose samples are no longer those that were flown: the numbers of its row are of the
     samples that are there, in the order of time; without a row where these do not suffice."""
     metadata = without(flight.metadata, ("row", "thinned"))
-    row, config = flight.metadata["row"], flight.metadata["config"]
-    limits, rate = config["vehicle"], config["controller"].get("rate")
+    row = flight.metadata["row"]
+    config = flight.metadata["config"]
+    limits = config["vehicle"]
+    rate = config["controller"].get("rate")
     try:
         numbers = flight_metrics(flight, limits["thrust_min"], limits["thrust_max"], 1 / rate if rate else None)
     except DataError:

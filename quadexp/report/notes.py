@@ -123,7 +123,8 @@ def _outside_data(rows: Sequence[Row]) -> str:
 def _reference_residual(rows: Sequence[Row]) -> str:
     """References that contain the residual only in part, or not at all."""
     known = [value for value, _ in _known(rows, "reference_residual")]
-    partly, without = sum(0 < value < 1 for value in known), sum(value <= 0 for value in known)
+    partly = sum(0 < value < 1 for value in known)
+    without = sum(value <= 0 for value in known)
     parts = [f"{partly} of {len(known)} references contain the residual only in part"] if partly else []
     parts += [f"{without} of {len(known)} references do not contain the residual"] if without else []
     return ", ".join(parts)
@@ -189,7 +190,8 @@ def outside_line(record: Mapping[str, Any] | None, *, always: bool = False) -> l
     """A line if more than REPORTED_SHARE of a flight lay outside its model's data, or that is unknown; or always."""
     if record is None:
         return []
-    share, model = record["share"], record["model"]
+    share = record["share"]
+    model = record["model"]
     if share is None:
         return [f"data        unknown whether the flight lay inside the data of {model}: {record['note']}"]
     if share <= REPORTED_SHARE and not always:

@@ -196,7 +196,8 @@ def seed_means(values: Mapping[tuple[What, int], Any]) -> np.ndarray:
 def flew_least(flights: Mapping[Who, Flights]) -> frozenset[Who]:
     """The contestants with the smallest share of completed flights; none if all have the same."""
     shares = {who: count.share for who, count in flights.items() if count.trials}
-    low, high = min(shares.values(), default=0.0), max(shares.values(), default=0.0)
+    low = min(shares.values(), default=0.0)
+    high = max(shares.values(), default=0.0)
     return frozenset(who for who, share in shares.items() if share == low < high)
 
 
@@ -263,7 +264,8 @@ class Groups:
             cells = {who: self.cells[condition, who] for who in self.conditions[condition]}
             possible = {flown.seed for cell in cells.values() for flown in cell if flown.outcome != "infeasible"}
             for who, cell in cells.items():
-                ended, trials = sum(f.complete for f in cell), sum(f.seed in possible for f in cell)
+                ended = sum(f.complete for f in cell)
+                trials = sum(f.seed in possible for f in cell)
                 counts[who] = counts.get(who, Flights(0, 0)).plus(Flights(ended, trials))
         return counts
 
@@ -302,7 +304,8 @@ class Groups:
         pairs: list[tuple[Flown, Flown]] = []
         causes: Counter[str] = Counter()
         for seed in sorted({*flights, *rivals}):
-            mine, its = flights.get(seed, []), rivals.get(seed, [])
+            mine = flights.get(seed, [])
+            its = rivals.get(seed, [])
             if len(mine) > 1 or len(its) > 1:
                 causes["flown more than once"] += 1
             elif not mine or not its:

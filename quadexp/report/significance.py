@@ -79,7 +79,9 @@ class Tests:
     """The test of every pair of contestants of a table, by one metric. place: of the metric in the groups."""
 
     def __init__(self, groups: Groups, place: int = 0, confidence: float = 0.95) -> None:
-        self.groups, self.confidence, self._place = groups, confidence, place
+        self.groups = groups
+        self.confidence = confidence
+        self._place = place
         self.metric = groups.metrics[place]
         kinds: tuple[Sequence[Statement], ...] = (
             [(condition,) for condition in groups.conditions],
@@ -97,7 +99,8 @@ class Tests:
         statement = tuple(conditions)
         difference = self._pair(contestant, other)[statement]
         if (pair := frozenset((contestant, other))) in self._corrected:
-            times, p_holm = len(self._corrected), self._corrected[pair][statement]
+            times = len(self._corrected)
+            p_holm = self._corrected[pair][statement]
         else:
             times, p_holm = self._times, min(self._times * difference.joint, 1.0)  # NaN stays
         return replace(difference, p_holm=p_holm, comparisons=times * difference.comparisons)
@@ -176,7 +179,8 @@ class Tests:
         pairs, causes = self.groups.pairs(condition, contestant, other)
         logs = {}
         for mine, its in pairs:
-            error, rival = mine.values[self._place], its.values[self._place]
+            error = mine.values[self._place]
+            rival = its.values[self._place]
             if 0 < error < math.inf and 0 < rival < math.inf:
                 logs[mine.seed] = math.log(error / rival)
             else:

@@ -185,13 +185,15 @@ def compute_statistics(
 
 def of_lines(tests_of: Sequence[Tests], metrics: Sequence[str]) -> list[Statistic]:
     """The statistics of every contestant and condition. tests_of: a test for each metric, of the same groups."""
-    groups, confidence = tests_of[0].groups, tests_of[0].confidence
+    groups = tests_of[0].groups
+    confidence = tests_of[0].confidence
     about: dict[tuple[Condition, Contestant], dict[str, Any]] = {}  # what is the same for every metric
     pairs: dict[tuple[Condition, Contestant], list[tuple[Flown, Flown]]] = {}
     for condition in groups.conditions:
         where = condition._asdict() | {"speed": NAN if condition.speed is None else condition.speed}
         for contestant, flown in groups.flights([condition]).items():
-            at, rival = (condition, contestant), groups.baseline(contestant)
+            at = (condition, contestant)
+            rival = groups.baseline(contestant)
             low, high = inference.success_interval(flown.ended, flown.trials, confidence)
             about[at] = {**where, **_whose(groups, contestant, confidence), **_tally(groups.cells[at], flown.trials)}
             about[at] |= {"success_low": low, "success_high": high}
@@ -244,7 +246,8 @@ def _mean_fields(values: np.ndarray, confidence: float) -> dict[str, Any]:
 
 def _comparison(pairs: Sequence[tuple[Flown, Flown]], place: int, confidence: float) -> dict[str, Any]:
     values, others = (np.array([pair[side].values[place] for pair in pairs]) for side in (0, 1))
-    differences, base = values - others, float(np.mean(others))
+    differences = values - others
+    base = float(np.mean(others))
     limits = inference.mean_interval(differences, confidence)
     relative = inference.reduction_interval(values, others, confidence)
     return {
@@ -277,7 +280,8 @@ def overall(
 
 def pooled(tests: Tests, conditions: Sequence[Condition], metric: str) -> list[Statistic]:
     """Every contestant that has a baseline, over all conditions, or all of a plant and vehicle; see the module."""
-    groups, unit = tests.groups, describe(metric, "results").unit
+    groups = tests.groups
+    unit = describe(metric, "results").unit
     flights = groups.flights(conditions)
     statistics = []
     for contestant in flights:

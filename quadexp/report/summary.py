@@ -91,7 +91,8 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
         battery = f", {100 * used:.0f} % of the battery used" if used is not None and math.isfinite(used) else ""
         lines.append(f"            a command changes by {100 * change:.2g} % of its range a step (RMS){battery}")
     if thinned := metadata.get("thinned"):
-        every, period = thinned["log_period"], thinned["control_period"]
+        every = thinned["log_period"]
+        period = thinned["control_period"]
         lines.append(f"stored      a sample every {every:g} s, not every {period:g} s")
     if line := margin_line(metadata.get("margins")):
         lines.append(f"loop        {line}")
@@ -138,7 +139,8 @@ def _table(path: Path) -> dict[str, Any]:
     record = read_metadata(path)
     kind = record["kind"]
     columns, _ = read_table(path, kind)
-    rows, size = len(next(iter(columns.values()))) if columns else 0, path.stat().st_size
+    rows = len(next(iter(columns.values()))) if columns else 0
+    size = path.stat().st_size
     summary = {
         "path": str(path), "kind": kind, "schema": record["schema"], "rows": rows, "bytes": size,
         "columns": {name: describe(name, kind)._asdict() for name in columns}, "config": record.get("config"),
@@ -164,7 +166,9 @@ def _table(path: Path) -> dict[str, Any]:
 
 
 def _flight_lines(record: Mapping[str, Any], samples: int, summary: dict[str, Any]) -> list[str]:
-    outcome, world, parts = record.get("outcome"), record.get("world"), _world_options(record)
+    outcome = record.get("outcome")
+    world = record.get("world")
+    parts = _world_options(record)
     row = record["row"] | errors_none(outcome)
     metrics = {name: row.get(name) for name in METRICS}
     table = [{"figure": name, "value": metrics[name], "unit": describe(name, "results").unit} for name in METRICS]
@@ -179,7 +183,9 @@ def _flight_lines(record: Mapping[str, Any], samples: int, summary: dict[str, An
 
 def _recorded_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], summary: dict[str, Any]) -> list[str]:
     """The source of a recorded flight, and the findings of the quality check."""
-    source, findings, t = record.get("source", {}), record.get("findings", []), columns["t"]
+    source = record.get("source", {})
+    findings = record.get("findings", [])
+    t = columns["t"]
     summary |= {"source": record.get("source"), "findings": findings}
     file, form, rate = (source.get(key) for key in ("file", "format", "rate"))
     hertz = f" at {rate:.4g} Hz" if isinstance(rate, (int, float)) else ""
@@ -190,7 +196,8 @@ def _recorded_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]
 
 
 def _residual_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], summary: dict[str, Any]) -> list[str]:
-    vehicle, flights = record.get("vehicle", {}), record.get("flights", [])
+    vehicle = record.get("vehicle", {})
+    flights = record.get("flights", [])
     lines = [
         f"vehicle     {vehicle.get('name')} ({vehicle.get('fingerprint')}), frame {record.get('frame')}",
         f"flights     {len(flights)}, {float(np.sum(columns['dt'])):.0f} s",
@@ -251,7 +258,8 @@ def held_out_table(rows: Sequence[Mapping[str, Any]]) -> Table | None:
 def _checkpoint(path: Path) -> dict[str, Any]:
     from quadexp.models.checkpoint import edited_note, load_model, load_report
 
-    model, file = load_model(path), path / MODEL_FILE
+    model = load_model(path)
+    file = path / MODEL_FILE
     try:
         record = json.loads(file.read_text(encoding="utf-8"))
     except ValueError as error:
@@ -317,7 +325,8 @@ def _unit_lines(columns: Mapping[str, Mapping[str, str]]) -> list[str]:
 
 
 def _provenance_lines(record: Mapping[str, Any]) -> list[str]:
-    provenance, versions = record.get("provenance", {}), record.get("versions", {})
+    provenance = record.get("provenance", {})
+    versions = record.get("versions", {})
     lines = []
     if versions:
         lines.append("versions    " + ", ".join(f"{name} {version}" for name, version in versions.items()))

@@ -124,7 +124,8 @@ class Table:
 
 def marked(cell: str, escaped: Callable[[str], str], best: str = "{}", star: str = "") -> str:
     """A cell in some format. escaped: of that format. best: around the number that is marked. star: of significance."""
-    text, end = "", 0
+    text = ""
+    end = 0
     for mark in _MARKS.finditer(cell):
         text += escaped(cell[end : mark.start()]) + (best.format(mark[1]) if mark[1] else star)
         end = mark.end()

@@ -142,14 +142,16 @@ def error_table(
     order: dict[str, int] = {}  # of the courses
     for row, pairs, label, s in zip(bare, settings, labels, [*statistics, *[None] * len(rows)], strict=False):
         *_, speed, setting = condition_of(row)
-        course, values_of = courses[row["trajectory"], setting], pairs | {"plant": row["plant"]}
+        course = courses[row["trajectory"], setting]
+        values_of = pairs | {"plant": row["plant"]}
         texts = (column[values_of[key]] if key in values_of else "" for key, (_, column) in shown_as.items())
         line = (course, speed_text(speed, ""), *texts)
         places.setdefault(line, (order.setdefault(course, len(order)), -1.0 if speed is None else speed))
         flown[label] = flown.get(label, Flights(0, 0)).plus(s.flown if s else Flights(0, 0))
         if s is not None or (line, label) not in cells:
             cells[line, label] = cell(s) if s else "invalid"
-    title, beside = f"{metric_of(metric).title} ({shown(metric)[1]})", 2 + len(shown_as)
+    title = f"{metric_of(metric).title} ({shown(metric)[1]})"
+    beside = 2 + len(shown_as)
     counts = ["flown", *[""] * (beside - 1), *(count.text() if count.trials else "-" for count in flown.values())]
     lines = [
         [*line, *(cells.get((line, label), "-") for label in flown)]

@@ -163,7 +163,8 @@ class Verdict:
 
 def verdict(tests: Tests, conditions: Sequence[Condition]) -> Verdict:
     """Over these conditions, of one plant and vehicle."""
-    groups, label = tests.groups, tests.groups.labels
+    groups = tests.groups
+    label = tests.groups.labels
     least, against, flights = rank(tests, conditions)
     among = groups.common(conditions)
     bound = next((who for who, flown in flights.items() if least and flown.ended and is_bound(who.controller)), None)

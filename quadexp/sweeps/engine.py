@@ -145,7 +145,10 @@ class Workers:
         calls: int = 1,
         folders: Sequence[str] | None = None,
     ) -> None:
-        self._most, self._memory, self._preload, self._calls = workers or default_workers(), memory, preload, calls
+        self._most = workers or default_workers()
+        self._memory = memory
+        self._preload = preload
+        self._calls = calls
         self._folders = folders
         self._pool: ProcessPool | None = None
         self._hidden = contextlib.ExitStack()
@@ -160,7 +163,8 @@ class Workers:
 
     def stop(self) -> None:
         """End the processes, with whatever they are doing."""
-        pool, self._pool = self._pool, None
+        pool = self._pool
+        self._pool = None
         if pool is not None:
             pool.stop()
             pool.join()

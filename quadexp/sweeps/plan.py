@@ -138,7 +138,8 @@ def flying_order(jobs: Sequence[Job]) -> list[Job]:
 def _builds(job: Job) -> tuple[bytes, bytes]:
     """What a worker builds for a cell: the structure that is compiled, and the controller with its numbers."""
     config = job.cell.config
-    vehicle, controller = config.vehicle.recorded(), config.controller.recorded()
+    vehicle = config.vehicle.recorded()
+    controller = config.controller.recorded()
     structure = marshal.dumps([vehicle, [controller.get(name) for name in STRUCTURE]], 2)
     known = config.plant.recorded() if config.controller.knows_plant else job.model and job.model.sha256
     return structure, marshal.dumps([structure, controller, known], 2)

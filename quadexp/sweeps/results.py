@@ -63,7 +63,8 @@ def select(
         frame = frame.where(chosen(frame, where))
     order = list(range(len(frame.rows)))
     for key in reversed((sort or "").split(",") if sort else []):
-        column, down = frame.column(key.strip().removeprefix("-")), key.strip().startswith("-")
+        column = frame.column(key.strip().removeprefix("-"))
+        down = key.strip().startswith("-")
         there = [i for i in order if column[i] is not None]
         texts = not all(isinstance(column[i], (int, float)) for i in there)
         there.sort(key=lambda i: str(column[i]) if texts else column[i], reverse=down)
@@ -76,7 +77,8 @@ def prune(out: str | Path, filters: Sequence[str] = (), *, remove: bool = False)
 
     remove: False only says which. The table is written anew where it loses rows.
     """
-    store, others = open_results(out), "name the others by KEY=VALUE"
+    store = open_results(out)
+    others = "name the others by KEY=VALUE"
     if not filters and not (store.root / RESULTS).exists():
         raise UsageError(f"{store.root}: no {RESULTS} says which cells are wanted: {others}")
     if not filters:
@@ -101,7 +103,8 @@ def _frame(store: CellStore, *, every_file: bool = False) -> tuple[SweepFrame, d
     else."""
     path = store.root / RESULTS
     rows, record = read_rows(path) if path.exists() else ([], {})
-    listed, there = {row["key"]: row for row in rows}, store.done()
+    listed = {row["key"]: row for row in rows}
+    there = store.done()
     try:
         wanted = {*listed, *store.asked()}
     except DataError:  # nobody knows: all

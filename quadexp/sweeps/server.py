@@ -19,7 +19,8 @@ from pathlib import Path
 from quadexp.names import distinct
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-SAFE, PATH = "PYTHONSAFEPATH", "PYTHONPATH"
+SAFE = "PYTHONSAFEPATH"
+PATH = "PYTHONPATH"
 # What nearly every flight needs.
 PRELOAD = (
     "casadi", "numpy", "pyarrow.parquet", "quadexp.experiment.evaluate", "quadexp.experiment.rollout",

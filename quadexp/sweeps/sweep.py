@@ -104,7 +104,8 @@ def run_sweep(
     Raises UsageError before anything is flown, also where every cell is invalid, SweepInterrupted on Ctrl-C,
     QuadexpError at the first file that cannot be written; what is done is kept.
     """
-    store, jobs = CellStore(out), plan_cells(cells)
+    store = CellStore(out)
+    jobs = plan_cells(cells)
     done = set() if force else store.done()
     wrong = check_jobs(job for job in jobs.values() if job.key not in done and not job.invalid)
     jobs |= {key: replace(jobs[key], invalid=why) for key, why in wrong.items()}

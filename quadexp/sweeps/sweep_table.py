@@ -82,7 +82,9 @@ def write_results(
     table, texts = comparison_texts(statistics, record["metric"])
     if not write:
         return statistics, table, {}, []
-    csv, columns, path = to_csv(rows), to_columns(rows), root / RESULTS
+    csv = to_csv(rows)
+    columns = to_columns(rows)
+    path = root / RESULTS
     hashes = {name: sha256_of(text) for name, text in {**texts, "results.csv": csv}.items()}
     record = {**record, "made": hashes, "statistics": statistics.fingerprint}
     wrong = []

@@ -80,7 +80,8 @@ class Actuator(Effect):
     )
 
     def check_together(self) -> None:
-        low, high = self.rotor_speed_min, self.rotor_speed_max
+        low = self.rotor_speed_min
+        high = self.rotor_speed_max
         if low is not None and high is not None and low >= high:
             raise UsageError(
                 f"actuator.rotor_speed_min={low:g}: must be less than actuator.rotor_speed_max={high:g} rad/s"
@@ -182,7 +183,8 @@ class PushingActuator(Actuator):
 
     def wrench(self, at: Moment) -> tuple[Expression, Expression]:
         middle, end = self._after(at)
-        first, n = at.inner[: middle.numel()], middle.numel()
+        first = at.inner[: middle.numel()]
+        n = middle.numel()
         before, between, after = (ca.dot(at.parameters[-n:], self._root(y)) for y in (first, middle, end))
         w = at.x[RATE]
         torque = ca.vertcat(w[1] * between, -w[0] * between, (after - before) / at.step)

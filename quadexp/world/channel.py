@@ -133,7 +133,9 @@ class Channel:
 
         value_at: what an exact sensor reads, (size,), at a time (s) since the period began, a number or a symbol.
         """
-        m, begins, drawn = self.errors, at.t - at.clock.period, self.drawn(at.clock)
+        m = self.errors
+        begins = at.t - at.clock.period
+        drawn = self.drawn(at.clock)
         noise, bias, (decay, gain, delay, jitter, drop) = (
             at.parameters[:m], at.parameters[m : 2 * m], ca.vertsplit(at.parameters[2 * m :]),
         )  # fmt: skip
@@ -156,21 +158,26 @@ class Channel:
         for numbers, on_way in zip(white, ways, strict=True):
             offset = numbers[0] - begins if self.rate else self._offset(at.clock)
             time = begins + offset
-            arrives, lost = time + delay, numbers[0] >= NEVER if self.rate else ca.MX(0)
+            arrives = time + delay
+            lost = numbers[0] >= NEVER if self.rate else ca.MX(0)
             if on_way is not None:
                 share, dropped = on_the_way(on_way[-2:], drop)
-                arrives, lost = arrives + jitter * share, ca.logic_or(lost, dropped)
+                arrives = arrives + jitter * share
+                lost = ca.logic_or(lost, dropped)
             reading = self.add(value_at(offset), slow_at(time), noise * numbers[-m:])
             readings.append(ca.vertcat(ca.if_else(lost, NEVER, arrives), time, reading))
-        drift, latest = drifts[-1][1], readings[-1][1:]
+        drift = drifts[-1][1]
+        latest = readings[-1][1:]
         if not self.waits:
             return ca.vertcat(drift, latest), latest[1:]
-        first, count = self.taken + 1 + self.size, len(readings)
+        first = self.taken + 1 + self.size
+        count = len(readings)
         base = at.inner[first : first + 1 + self.size]
         readings = [*ca.vertsplit(at.inner[first + 1 + self.size :], 2 + self.size), *readings]
         for reading in readings[:count]:  # which have arrived, if ever
             base = ca.if_else(reading[0] < NEVER, reading[1:], base)
-        latest, waiting = base, readings[count:]
+        latest = base
+        waiting = readings[count:]
         for reading in waiting:
             latest = ca.if_else(reading[0] <= at.t + ROUNDING, reading[1:], latest)
         return ca.vertcat(drift, latest, base, *waiting), latest[1:]

@@ -67,7 +67,9 @@ def compose(
     last = max((i + 1 for i, effect in enumerate(effects) if effect.steps()), default=0)
     stepping = Layout(layout.airframe, layout.effects[:last])  # the rest only measures, once a period
     parts = _Parts(equations, tuple(effects[:last]), stepping, vehicle)
-    airframe, steps, n = layout.airframe, clock.steps, vehicle.n_rotors
+    airframe = layout.airframe
+    steps = clock.steps
+    n = vehicle.n_rotors
     x, inner, u, step, noise, parameters, draws, time = symbols(
         ca.MX,
         x=N_STATE,
@@ -82,7 +84,8 @@ def compose(
 
     cut = [0, airframe.inner, stepping.size("inner"), layout.size("inner"), inner.numel()]
     inner_a, of_effects, measuring, _ = ca.vertsplit(inner, cut)
-    theta, known = parameters[: airframe.parameters], parameters[: stepping.size("parameters")]
+    theta = parameters[: airframe.parameters]
+    known = parameters[: stepping.size("parameters")]
     begin = parts.inner_after("begin", "t", "x", "own", "u", "parameters", "draws", "step")
     of_effects = begin(time, x, of_effects, u, known, draws[: stepping.size("draws")], step)
     if equations.begin:
@@ -97,13 +100,16 @@ def compose(
     still = parts.chosen(of_effects, parts.still)[used["still"]]
     states, *kept = _repeated(single, steps, state, times, noise, (still, u, known[used["parameters"]], step))
 
-    begun, last_t = of_effects, time + clock.period
+    begun = of_effects
+    last_t = time + clock.period
     x_next, of_effects, inner_a, wind, reading, doubt = parts.settled(states[:, -1], begun, known, theta, last_t, step)
     of_effects = ca.vertcat(of_effects, measuring)
-    names, forces_kept = equations.step.name_out()[1:] if equations.end else [], None
+    names = equations.step.name_out()[1:] if equations.end else []
+    forces_kept = None
     if not equations.end:
         forces_kept, *kept = kept
-        reading, doubt = forces_kept[:, -1], ca.MX(1, 1)
+        reading = forces_kept[:, -1]
+        doubt = ca.MX(1, 1)
     reading += states[-3:, -1]
     if not last and not any(effect.names_world for effect in effects):  # the airframe's own flight, to the last bit
         alone = period(equations, steps)(x, inner[: airframe.inner], u, noise, theta, step)
@@ -180,7 +186,10 @@ class _Parts:
     """The functions that `compose` joins. Their `own` are the inner states of all effects, one after another."""
 
     def __init__(self, equations: Equations, effects: tuple[Effect, ...], layout: Layout, vehicle: Vehicle) -> None:
-        self._equations, self._effects, self._layout, self._vehicle = equations, effects, layout, vehicle
+        self._equations = equations
+        self._effects = effects
+        self._layout = layout
+        self._vehicle = vehicle
         self._kind = ca.MX if any(effect.symbols == "MX" for effect in effects) else ca.SX
         # Effects whose inner states change from step to step, and those that only use them in the steps.
         self.moving = [i for i, effect in enumerate(effects) if effect.has("advance")]
@@ -199,7 +208,8 @@ class _Parts:
     def assembled(self, moved: Any, of_effects: Any) -> Any:
         """The inner states of all effects: `moved` of those that change from step to step, the others' from
         `of_effects`."""
-        pieces, first = self._cut(of_effects, "inner"), 0
+        pieces = self._cut(of_effects, "inner")
+        first = 0
         for i in self.moving:
             size = self._layout.effects[i].inner
             pieces[i], first = moved[first : first + size], first + size
@@ -275,17 +285,20 @@ class _Parts:
     def pushes(self) -> ca.Function:
         """(IN_STEP, thrusts that enter each effect ..) -> force (3,) world, torque (3,) body."""
         symbols, moments = self._moments_of(IN_STEP)
-        force, torque = self._kind.zeros(3), self._kind.zeros(3)
+        force = self._kind.zeros(3)
+        torque = self._kind.zeros(3)
         for effect, at in zip(self._effects, moments, strict=True):
             if effect.has("wrench"):
                 more = effect.wrench(at)
-                force, torque = force + more[0], torque + more[1]
+                force = force + more[0]
+                torque = torque + more[1]
         return self._function("pushes", symbols, [force, torque])
 
     def settled(self, S: Any, of_effects: Any, known: Any, theta: Any, t: Any, step: Any) -> tuple[Any, ...]:
         """State, inner states of effects and airframe, wind, specific force without effects' forces, and doubt, of a
         control period that would end after a step with S, see `step`. of_effects: as the period began."""
-        equations, n = self._equations, self._vehicle.n_rotors
+        equations = self._equations
+        n = self._vehicle.n_rotors
         further = equations.step.size1_in(0) - N_STATE
         sizes = [N_STATE, further, self.size(self.moving), WIND, n, 3]
         x, rest, moved, wind, thrusts, _ = split(S, sizes)
@@ -314,8 +327,11 @@ class _Parts:
     def step(self) -> ca.Function:
         """(S, t, still, u, noise, parameters, step) -> S, what the airframe keeps; S = [x, the airframe's further s,
         moving inner states, wind, thrusts, force over mass in the body frame (3,)]; still: those that stay."""
-        equations, layout, n = self._equations, self._layout, self._vehicle.n_rotors
-        further, moving = equations.step.size1_in(0) - N_STATE, self.size(self.moving)
+        equations = self._equations
+        layout = self._layout
+        n = self._vehicle.n_rotors
+        further = equations.step.size1_in(0) - N_STATE
+        moving = self.size(self.moving)
         sizes = [N_STATE, further, moving, WIND + n + 3]
         S, still = symbols(ca.MX, S=sum(sizes), still=self.size(self.still))
         x, rest, moved, _ = split(S, sizes)
@@ -324,7 +340,8 @@ class _Parts:
         )
         theta = parameters[: layout.airframe.parameters]
 
-        pieces, first = [ca.MX(sizes.inner, 1) for sizes in layout.effects], 0
+        pieces = [ca.MX(sizes.inner, 1) for sizes in layout.effects]
+        first = 0
         for i in self.still:
             size = layout.effects[i].inner
             pieces[i], first = still[first : first + size], first + size
@@ -346,7 +363,8 @@ class _Parts:
 
         seen = kicked(_seen_from_the_air(x, wind) if blows else x)
         s, *kept = equations.step.call([ca.vertcat(seen, rest), held, noise, theta, step])
-        x_next, rest = kicked(s[:N_STATE]), s[N_STATE:]
+        x_next = kicked(s[:N_STATE])
+        rest = s[N_STATE:]
         if blows:
             x_next = ca.vertcat(x_next[POSITION] + step * wind, x_next[ATTITUDE], x_next[VELOCITY] + wind, x_next[RATE])
         if self.moving:

@@ -26,7 +26,8 @@ class History(NamedTuple):
 
     def at(self, time: Any) -> ca.MX:
         """(k,) at a time (s) since the period began: a number, or a symbol; zeros outside the period."""
-        steps, place = self.clock.steps, time / self.clock.step
+        steps = self.clock.steps
+        place = time / self.clock.step
         if isinstance(place, ca.MX):
             return self.values @ ca.fmax(1 - abs(place - ca.DM(range(steps + 1))), 0)
         later = min(max(math.ceil(place - ROUNDING), 0), steps)

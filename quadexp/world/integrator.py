@@ -86,7 +86,9 @@ def integrate(method: str, slope: Callable[[Expression], Expression], s: Express
 
 def period(equations: Equations, steps: int) -> ca.Function:
     """INPUTS -> OUTPUTS over `steps` steps of length `step` (s), noise (d, steps); then what is kept of the steps."""
-    function, begin, end = equations.step, equations.begin, equations.end
+    function = equations.step
+    begin = equations.begin
+    end = equations.end
     x, inner, step, u, noise, parameters = symbols(
         ca.MX,
         x=N_STATE,
@@ -103,7 +105,8 @@ def period(equations: Equations, steps: int) -> ca.Function:
         results = [*end(states[:, -1], held, parameters), *kept]
     else:
         results = [states[:N_STATE, -1], states[N_STATE:, -1], kept[0][:, -1], ca.MX(1, 1)]
-    arguments, names = [x, inner, u, noise, parameters, step], function.name_out()[1:] if end else []
+    arguments = [x, inner, u, noise, parameters, step]
+    names = function.name_out()[1:] if end else []
     return ca.Function(f"{function.name()}_period", arguments, results, INPUTS, [*OUTPUTS, *names])
 
 
@@ -121,7 +124,10 @@ class SimulatedPlant:
     def __init__(
         self, vehicle: Vehicle, equations: Equations, parameters: npt.ArrayLike = (), *, step: float, backend: str
     ) -> None:
-        self.vehicle, self.step, self.equations, self.backend = vehicle, step, equations, resolve(backend)
+        self.vehicle = vehicle
+        self.step = step
+        self.equations = equations
+        self.backend = resolve(backend)
         self._parameters = np.asarray(parameters)
         self._periods: dict[int, BufferedFunction] = {}
         self._safe: dict[BufferedFunction, ca.Function] = {}
@@ -149,7 +155,8 @@ class SimulatedPlant:
 
     def own_noise(self, rng: np.random.Generator, period: float) -> list[tuple[np.random.Generator, Drawn]]:
         """What the equations draw in control periods (s), and its stream."""
-        numbers, bounds = self.equations.step.size1_in(2), np.linspace(0, period, self.steps(period) + 1)
+        numbers = self.equations.step.size1_in(2)
+        bounds = np.linspace(0, period, self.steps(period) + 1)
         return [(rng, Held(numbers, tuple(bounds.tolist())))] if numbers else []
 
     def initial(self, thrust: np.ndarray) -> np.ndarray:
@@ -174,7 +181,8 @@ class SimulatedPlant:
         """
         self.require_flight()
         function = self.prepared(duration)
-        arguments, results = function.arguments, function.results
+        arguments = function.arguments
+        results = function.results
         arguments["x"][:], arguments["inner"][:], arguments["u"][:] = x, self.inner, u
         if rng is not None:
             rng.standard_normal(out=self.noise(function))

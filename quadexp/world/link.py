@@ -65,7 +65,9 @@ class Latency(Effect):
 
     def thrusts(self, at: Moment) -> Expression:
         """From its arrival on, each command replaces older ones."""
-        n, acting, thrusts = at.command.numel(), 0, 0
+        n = at.command.numel()
+        acting = 0
+        thrusts = 0
         for first in range(n, at.inner.numel(), n + 1):  # the newest first; acting: share of the step from then on
             since = at.t + at.step - ROUNDING - at.inner[first + n]
             share = ca.fmax(acting, ca.fmin(since / (at.step - 2 * ROUNDING), 1))

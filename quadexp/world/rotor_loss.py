@@ -76,7 +76,8 @@ class RotorLoss(Effect):
     def thrusts(self, at: Moment) -> Expression:
         factors = [type(at.command)(1) for _ in range(at.command.numel())]
         for i, loss in enumerate(self._ordered):
-            begins, factor = at.parameters[1 + 2 * i], at.parameters[2 + 2 * i]
+            begins = at.parameters[1 + 2 * i]
+            factor = at.parameters[2 + 2 * i]
             rotor = int(loss["rotor"])
             factors[rotor] = ca.if_else(at.t >= begins - ROUNDING, factor, factors[rotor])
         return at.command * ca.vertcat(*factors)

@@ -167,7 +167,8 @@ class Sensors(SensorKeys, Effect):
         return Sizes(inner, sum(sizes.parameters for sizes in each), drawn, streams)
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        vehicle, rates = start.vehicle, start.x[RATE]
+        vehicle = start.vehicle
+        rates = start.x[RATE]
         force = np.array([0.0, 0.0, start.thrust.sum() / vehicle.mass])
         exact = {name: start.x[place] for name, place in POSE.items()} | {"accelerometer": force, "gyroscope": rates}
         exact |= {
@@ -175,7 +176,8 @@ class Sensors(SensorKeys, Effect):
             "battery": np.zeros(1),
         }
         angles = 2 * math.pi * part_stream(rng, "angles").random(vehicle.n_rotors)
-        inner, parameters = [np.empty(0)], [np.empty(0)]
+        inner = [np.empty(0)]
+        parameters = [np.empty(0)]
         for name, channel in self.channels(vehicle.n_rotors).items():
             start_values, numbers = channel.start(part_stream(rng, name), start.clock, exact[name])
             kept = np.concatenate([exact[name], exact[name], angles])[: self._keeps(name, vehicle.n_rotors)]
@@ -185,9 +187,11 @@ class Sensors(SensorKeys, Effect):
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
         """True biases that drift; what is given speeds and voltage; when what is given a sensor was taken."""
-        n, columns = vehicle.n_rotors, dict[str, int]()
+        n = vehicle.n_rotors
+        columns = dict[str, int]()
         measured = range(n) if self.rotor_speed_of is None else self.rotor_speed_of
-        places, channels = self._places(clock, n), self.channels(n)
+        places = self._places(clock, n)
+        channels = self.channels(n)
         for name, channel in channels.items():
             first = places[name].start + self._keeps(name, n)
             if channel.waits:
@@ -221,14 +225,20 @@ class Sensors(SensorKeys, Effect):
         return replace(sensor_spec, **changed)
 
     def measure(self, at: Readings, measured: Measured) -> tuple[ca.MX, Measured]:
-        rotors, clock, after = at.vehicle.n_rotors, at.clock, [at.inner[:0]]
-        channels, places, readings = self.channels(rotors), self._places(clock, rotors), dict[str, ca.MX]()
+        rotors = at.vehicle.n_rotors
+        clock = at.clock
+        after = [at.inner[:0]]
+        channels = self.channels(rotors)
+        places = self._places(clock, rotors)
+        readings = dict[str, ca.MX]()
         cut = [_slices({name: channel.sizes(clock).parameters for name, channel in channels.items()})]
         cut.append(_slices({name: channel.sizes(clock).draws for name, channel in channels.items()}))
         for name, channel in channels.items():
-            inner, keeps = at.inner[places[name]], self._keeps(name, rotors)
+            inner = at.inner[places[name]]
+            keeps = self._keeps(name, rotors)
             value_at, kept = self._exact(name, at, measured, inner[:keeps])
-            parameters, draws = at.parameters[cut[0][name]], at.draws[cut[1][name]]
+            parameters = at.parameters[cut[0][name]]
+            draws = at.draws[cut[1][name]]
             its_own = at._replace(inner=inner[keeps:], parameters=parameters, draws=draws)
             inner, readings[name] = channel.measure(its_own, value_at)
             after += [kept, inner]
@@ -253,7 +263,8 @@ class Sensors(SensorKeys, Effect):
 
     def _force(self, at: Readings, last: ca.MX, kept: ca.MX) -> tuple[Callable[[Any], ca.MX], ca.MX]:
         """Specific force and vibration; last: the force at the end of the period."""
-        cutoff, clock = self.accelerometer_cutoff, at.clock
+        cutoff = self.accelerometer_cutoff
+        clock = at.clock
         passed, before, turned_by = ca.vertsplit(kept, [0, AXES, 2 * AXES, kept.numel()])
         forces = History(ca.repmat(last, 1, clock.steps + 1), clock)
         if cutoff or self.accelerometer_delay or self.accelerometer_rate:
@@ -261,8 +272,10 @@ class Sensors(SensorKeys, Effect):
         after = ca.vertcat(forces.values[:, -1], last)
         if not any(self.accelerometer_vibration):
             return forces.at, after
-        speeds, vehicle = self._speeds(at), at.vehicle
-        angles, amplitude = speeds.integral(turned_by), ca.DM(self.accelerometer_vibration)
+        speeds = self._speeds(at)
+        vehicle = at.vehicle
+        angles = speeds.integral(turned_by)
+        amplitude = ca.DM(self.accelerometer_vibration)
         hover = math.sqrt(vehicle.hover_thrust / vehicle.static_thrust_coefficient)
 
         def shaken(time: Any) -> ca.MX:

@@ -100,14 +100,16 @@ class SimplifiedPlant(SimulatedPlant):
         self, vehicle: Vehicle, effects: PlantEffects | None = None, *, step: float = 5e-4, backend: str = "auto"
     ) -> None:
         self.effects = effects or PlantEffects()
-        equations, parameters = _equations(vehicle, self.effects.noisy), self.effects.parameters()
+        equations = _equations(vehicle, self.effects.noisy)
+        parameters = self.effects.parameters()
         super().__init__(vehicle, equations, parameters, step=step, backend=backend)
 
     def residual(self) -> Residual:
         """Drag and mean motor loss; noise and clipping left out."""
         n = self.vehicle.n_rotors
         z, theta = symbols(ca.SX, z=len(feature_names(n)), theta=N_EFFECTS)
-        command, delivered = z[6:], _delivered_thrust(z[6:], theta, self.vehicle)
+        command = z[6:]
+        delivered = _delivered_thrust(z[6:], theta, self.vehicle)
         nominal = along_z(ca.sum1(command) / self.vehicle.mass)
         torque = self.vehicle.allocation[1:] @ (delivered - command)
         acceleration = _body_acceleration(z[:3], delivered, theta, self.vehicle) - nominal

@@ -171,7 +171,8 @@ class Streams:
     def __init__(
         self, parts: Sequence[tuple[np.random.Generator, Drawn]], period: float, duration: float = 0.0
     ) -> None:
-        self._period, self._takers = period, [drawn.begin(rng) for rng, drawn in parts]
+        self._period = period
+        self._takers = [drawn.begin(rng) for rng, drawn in parts]
         self._periods = round(duration / period)
         self.size = sum(drawn.size for _, drawn in parts)
         self._kept = np.empty((BLOCK, self.size))
@@ -209,5 +210,6 @@ def _split_mix(key: np.uint64, ticks: np.ndarray, numbers: int) -> np.ndarray:
     z = (z ^ z >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ z >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
     uniform = (((z ^ z >> np.uint64(31)) >> np.uint64(11)) + 0.5) * 2.0**-53
-    radius, angle = np.sqrt(-2 * np.log(uniform[..., :pairs])), 2 * np.pi * uniform[..., pairs:]
+    radius = np.sqrt(-2 * np.log(uniform[..., :pairs]))
+    angle = 2 * np.pi * uniform[..., pairs:]
     return np.concatenate([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)[..., :numbers]

@@ -66,7 +66,8 @@ def coefficient_allocation(vehicle: Vehicle, thrust_factor: float, torque_factor
 
     vehicle: the true one.
     """
-    thrust, turn = thrust_factor - 1.0, thrust_factor * torque_factor - 1.0
+    thrust = thrust_factor - 1.0
+    turn = thrust_factor * torque_factor - 1.0
     return np.array([thrust, thrust, thrust, turn])[:, None] * vehicle.allocation
 
 

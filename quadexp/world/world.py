@@ -33,7 +33,8 @@ class _Prepared(BufferedFunction):
         self, function: ca.Function, shared: Mapping[str, np.ndarray], buffer: np.ndarray, clock: Clock
     ) -> None:
         super().__init__(function, shared)
-        self.buffer, self.clock = buffer, clock
+        self.buffer = buffer
+        self.clock = clock
 
 
 class World(SimulatedPlant):
@@ -46,16 +47,19 @@ class World(SimulatedPlant):
     def __init__(
         self, airframe: SimulatedPlant, effects: Sequence[Effect], believed: SimulatedPlant | None = None
     ) -> None:
-        self.airframe, clock = airframe, Clock(airframe.step, 1)
+        self.airframe = airframe
+        clock = Clock(airframe.step, 1)
         joined = ordered([effect.among(effects) for effect in effects])
         columns = {*airframe.inner_columns}.union(*(effect.columns(clock, airframe.vehicle) for effect in joined))
-        self.effects, self._turning = tuple(effect.beside(columns) for effect in joined), "rotor_speed_0" in columns
+        self.effects = tuple(effect.beside(columns) for effect in joined)
+        self._turning = "rotor_speed_0" in columns
         self._believed: Any = believed or airframe  # a Plant too
         self._made: dict[Clock, _Prepared] = {}
         self._winds: dict[Clock, ca.Function] = {}
         self._layouts: dict[Clock, Layout] = {}
         self._columns: dict[Clock, dict[str, int]] = {}
-        self._own_parameters, self._rotors = np.empty(0), list[int]()
+        self._own_parameters = np.empty(0)
+        self._rotors = list[int]()
         self._shares: list[tuple[Effect, slice, slice]] = []  # of the inner states, and of the effects' parameters
         rough = any(effect.has("wind") or effect.has("thrusts") for effect in self.effects)
         equations = airframe.rough_equations if rough else airframe.equations
@@ -66,7 +70,8 @@ class World(SimulatedPlant):
         """What is flown and what is assumed; the flight itself begins with `begin`."""
         self.airframe.reset()
         self._believed.reset()  # which another flight may have flown
-        self.time, self.inner = 0.0, np.empty(0)
+        self.time = 0.0
+        self.inner = np.empty(0)
 
     def begin(
         self, x: np.ndarray, period: float, duration: float, rng: np.random.Generator, thrust: np.ndarray | None = None
@@ -83,7 +88,8 @@ class World(SimulatedPlant):
         start = Start(np.array(x, float), duration, clock, self.vehicle, thrust, begun)
         layout = self._layout(clock)
         parts = list[tuple[np.random.Generator, Drawn]]()
-        inner, parameters = [self.airframe.initial(thrust)], []
+        inner = [self.airframe.initial(thrust)]
+        parameters = []
         for effect, sizes in zip(self.effects, layout.effects, strict=True):
             stream = part_stream(rng, effect.part)
             begins = [np.asarray(values, float).ravel() for values in effect.start(stream, start)]
@@ -106,7 +112,8 @@ class World(SimulatedPlant):
         columns = self.columns(period)
         of = range(self.vehicle.n_rotors) if self.sensor_spec.rotor_speed else ()
         self._rotors = [columns.get(f"est_rotor_speed_{i}", columns.get(f"rotor_speed_{i}", -1)) for i in of]
-        self._own_parameters, self.measured = np.concatenate(parameters), start.x.copy()
+        self._own_parameters = np.concatenate(parameters)
+        self.measured = start.x.copy()
         for effect, effect_states in zip(self.effects, inner[1:], strict=True):
             self.measured = effect.first(effect_states, self.measured)
         self.inner = np.concatenate([*inner, self._first_wind(start, np.concatenate(inner[1:]))])
@@ -123,7 +130,8 @@ class World(SimulatedPlant):
         """The wind when the flight begins, but for white noise. of_effects: inner states of the effects."""
         if not any(effect.has("wind") for effect in self.effects):
             return np.zeros(WIND)
-        layout, step = self._layout(start.clock), start.clock.step
+        layout = self._layout(start.clock)
+        step = start.clock.step
         if start.clock not in self._winds:
             self._winds[start.clock] = wind_function(self.equations, self.effects, layout, self.vehicle)
         wind = self._winds[start.clock]
@@ -149,7 +157,8 @@ class World(SimulatedPlant):
         clock = self.clock(duration)
         if clock not in self._made:
             function = realise(self._period(self.equations, clock), self.backend)
-            rows, draws = function.size1_in("noise"), function.size1_in("draws")
+            rows = function.size1_in("noise")
+            draws = function.size1_in("draws")
             buffer = np.zeros(clock.steps * rows + draws)
             shape = (clock.steps, rows) if clock.steps > 1 else rows
             views = {"noise": buffer[: clock.steps * rows].reshape(shape), "draws": buffer[-draws:]}
@@ -176,7 +185,8 @@ class World(SimulatedPlant):
         return self.airframe.next_change
 
     def settle(self, results: Mapping[str, np.ndarray]) -> None:
-        self.inner, self.measured = results["inner_next"].copy(), results["measured"].copy()
+        self.inner = results["inner_next"].copy()
+        self.measured = results["measured"].copy()
         if results["doubt"].any():
             self._check_ended()
 

@@ -38,12 +38,18 @@ class ExplicitController(InCalls):
         self, vehicle: Vehicle, law: Any, about: Circumstances, function: ca.Function, residual: Residual | None,
         places: Mapping[str, np.ndarray] | None = None,
     ) -> None:  # fmt: skip
-        self.vehicle, self.law, self.control_period, self._about = vehicle, law, about.period, about
+        self.vehicle = vehicle
+        self.law = law
+        self.control_period = about.period
+        self._about = about
         self.backend = resolve(law.backend)
         self.node_times = np.array(law.nodes) * self.control_period
         self.residual_name, self.source = ("none", "") if residual is None else (residual.name, residual.source)
-        self._function, reads, n = function, set(function.name_in()), vehicle.n_rotors
-        self.air, self.residual = residual, residual if OF_REFERENCE & reads else None
+        self._function = function
+        reads = set(function.name_in())
+        n = vehicle.n_rotors
+        self.air = residual
+        self.residual = residual if OF_REFERENCE & reads else None
         sizes = sizes_of([function]) | ({"sent": n} if f"{NOW}sent" in reads else {})
         self.memory = Memory(type(law).__name__, sizes)
         self._places = {"belief": NO_BELIEF.copy(), **(places or {})}
@@ -51,7 +57,8 @@ class ExplicitController(InCalls):
             self._places["theta"] = np.array(residual.theta, float)
         results = {name: np.zeros(function.size1_out(name)) for name in ("command", "held")}
         results |= {f"log_{name}": np.zeros(function.numel_out(f"log_{name}")) for name in law.logged}
-        self._results, self._logged = results, {name: results[f"log_{name}"] for name in law.logged}
+        self._results = results
+        self._logged = {name: results[f"log_{name}"] for name in law.logged}
         self.rows: np.ndarray | None = None  # of the horizon that it is given, where that is longer; None: all
 
     def forget(self) -> None:
@@ -68,13 +75,16 @@ class ExplicitController(InCalls):
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step."""
-        nodes, n = len(self.node_times), self.vehicle.n_rotors
-        states, thrusts = np.empty((nodes, N_STATE)), np.empty((nodes - 1, n))
+        nodes = len(self.node_times)
+        n = self.vehicle.n_rotors
+        states = np.empty((nodes, N_STATE))
+        thrusts = np.empty((nodes - 1, n))
         ahead = {"reference": states[0], "thrusts": thrusts[0], "thrusts_middle": thrusts[-1]} if nodes > 1 else {}
         places = {**places_of(inputs, state), **self._places, **ahead}
         looks = ahead.keys() & set(self._function.name_in())
         calls = [Call("window", states, self.rows, thrusts)] if looks else []
-        command, memory = self._results["command"], self.memory
+        command = self._results["command"]
+        memory = self.memory
         calls.append(call(connected(self._function, places, self._results, memory)))
         kept = memory.pairs[0][1]
         calls += [Call("finite", source=numbers) for numbers in (command, kept) if numbers.size]

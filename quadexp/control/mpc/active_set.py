@@ -50,7 +50,8 @@ class ActiveSet:
     """
 
     def __init__(self, step: Step) -> None:
-        self._solve, self.side = step.bounded, step.arguments["guess"]
+        self._solve = step.bounded
+        self.side = step.arguments["guess"]
         self.X_new, self.U_new, self._side, self._checks = (
             step.results[name] for name in ("bounded_X", "bounded_U", "side", "bounded_checks")
         )
@@ -82,7 +83,8 @@ class InterpretedSolver:
     """
 
     def __init__(self, form: Form, data: Arrays) -> None:
-        self._form, self._data = form, data
+        self._form = form
+        self._data = data
 
     def __call__(self) -> None:
         """Solve; data that are not finite give `solved` = 0."""
@@ -93,9 +95,12 @@ class InterpretedSolver:
             H = np.diag(data["R"].ravel()) + maps.T @ (weights[:, None] * maps)
             g = data["r"].ravel() + maps.T @ (weights * offsets + data["q"][1:].ravel())
             U = data["U_lin"]
-            low, high = (data["u_min"] - U).ravel(), (data["u_max"] - U).ravel()
+            low = (data["u_min"] - U).ravel()
+            high = (data["u_max"] - U).ravel()
             used = [data[name] for name in ("K", "factor", "U_new")]  # of the unbounded solution
-            d_input, side, error = np.zeros(g.size), np.zeros(g.size), np.inf
+            d_input = np.zeros(g.size)
+            side = np.zeros(g.size)
+            error = np.inf
             if all(np.isfinite(part).all() for part in (H, g, *used)):
                 d_input, side, error = bounded_minimum(H, g, low, high)
             d_state = (offsets + maps @ d_input).reshape(len(U), -1)
@@ -113,7 +118,8 @@ class InterpretedSolver:
         """The states' changes as maps (m N, n N) of all inputs' changes, and offsets (m N,)."""
         A, B, b = dynamics_of(self._data["rows"], self._form)
         nodes, m, n = B.shape
-        maps, offsets = np.zeros((nodes, m, nodes * n)), b.copy()
+        maps = np.zeros((nodes, m, nodes * n))
+        offsets = b.copy()
         for k in range(nodes):
             if k:
                 maps[k] = A[k] @ maps[k - 1]
@@ -129,7 +135,9 @@ def bounded_minimum(
     0 free; and the estimated error of u, infinite where H is singular to rounding."""
     with _one_at_a_time:
         multiplier = np.array(_daqp(g.size)(h=H, g=g, lbx=low, ubx=high)["lam_x"]).ravel()
-    side, scale, fixed = np.sign(multiplier), np.diag(H), low == high
+    side = np.sign(multiplier)
+    scale = np.diag(H)
+    fixed = low == high
     for _ in range(ROUNDS):
         side = np.where(fixed, 1.0, side)
         free = side == 0

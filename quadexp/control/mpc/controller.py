@@ -29,7 +29,9 @@ class PredictiveController(InCalls):
         self.mpc = mpc
         self.believed: Any = None  # a world to plan in, made by the first belief (the service `believed_world`)
         self.targets = False  # whether references are recomputed to hold the path in the assumed world
-        self.vehicle, self.settings, self.backend = mpc.vehicle, mpc.settings, mpc.backend
+        self.vehicle = mpc.vehicle
+        self.settings = mpc.settings
+        self.backend = mpc.backend
         self.control_period = mpc.settings.control_period
         self.node_times = mpc.settings.dead_time + mpc.node_times  # the first is when a command sent now begins to act
         self.predictor: Any = DeadTimePredictor(mpc) if mpc.settings.dead_time or mpc.settings.known_lag else None
@@ -39,7 +41,8 @@ class PredictiveController(InCalls):
         self.record: StepRecord
         self._x0: np.ndarray = mpc.step.arguments["x0"]
         self._reference = mpc.reference
-        self.residual_name, self.source = mpc.residual.name, mpc.residual.source
+        self.residual_name = mpc.residual.name
+        self.source = mpc.residual.source
 
     @property
     def residual(self) -> Residual | None:
@@ -105,7 +108,8 @@ class PredictiveController(InCalls):
         mpc, x0, (X_ref, U_ref) = self.mpc, self._x0, self._reference
         if self.believed is None:
             look = Call("window", X_ref[:, :N_STATE], other=U_ref, when=self.unprepared)
-            calls, x = [look], state
+            calls = [look]
+            x = state
         else:
             calls, x = self.believed.before(inputs, state)
         if self.predictor is not None:
@@ -146,7 +150,9 @@ class PredictiveController(InCalls):
         error. Without a limit the quadratic cost demands a speed that grows with the distance: from 28 m away the
         vehicle arrives at 30 m/s, which one iteration per step cannot brake in time.
         """
-        at, to, limit = x.item, reference.item, self.settings.distance_limit
+        at = x.item
+        to = reference.item
+        limit = self.settings.distance_limit
         if not math.dist((at(0), at(1), at(2)), (to(0), to(1), to(2))) > limit:
             return False
         error = x[POSITION] - reference[0, POSITION]

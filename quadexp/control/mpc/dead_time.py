@@ -43,7 +43,8 @@ class DeadTimePredictor:
     """
 
     def __init__(self, mpc: ModelPredictiveController) -> None:
-        settings, n = mpc.settings, mpc.vehicle.n_rotors
+        settings = mpc.settings
+        n = mpc.vehicle.n_rotors
         self._delays = Delays(settings.control_period, settings.dead_time, settings.known_lag)
         disturbed = mpc.disturbance is not None
         form = mpc.vehicle, mpc.residual, self._delays
@@ -89,9 +90,11 @@ class MotorLead:
         self, limits: tuple[np.ndarray, np.ndarray], settings: MPCSettings, backend: str = "interpreted"
     ) -> None:
         self._function = cached_function(backend, inversion_function, len(limits[0]))
-        self._places, self.gain = named(("low", "high"), limits), np.zeros(1)
+        self._places = named(("low", "high"), limits)
+        self.gain = np.zeros(1)
         self._inverted = {"command": np.zeros_like(limits[0])}
-        period, lag = settings.control_period, settings.motor_lead
+        period = settings.control_period
+        lag = settings.motor_lead
         self.gain[...] = -1 / math.expm1(-period / lag) if lag else 1.0
 
     def after(self, planned: np.ndarray, thrust: np.ndarray) -> tuple[list[Call], np.ndarray]:
@@ -117,11 +120,14 @@ def prediction_function(
     that are pending, thrust, the command that was sent last. Output: x_next, its quaternion of unit length, (13,), with
     a lag (13 + n,); the memory's next values.
     """
-    n, lag, kept = vehicle.n_rotors, bool(delays.lag), kept_sizes(vehicle.n_rotors, delays)
+    n = vehicle.n_rotors
+    lag = bool(delays.lag)
+    kept = kept_sizes(vehicle.n_rotors, delays)
     shapes = {"x": N_STATE, "theta": residual.function.size1_in(1)}
     shapes |= {"disturbance": N_DISTURBANCE} if disturbed else {}
     arguments = named_symbols(ca.MX, shapes | {NOW + name: kept[name] for name in ("commands", "thrust", "sent")})
-    x, theta = arguments["x"], arguments["theta"]
+    x = arguments["x"]
+    theta = arguments["theta"]
     before = ca.reshape(arguments[f"{NOW}commands"], n, delays.pending)
     numbers = ca.DM(delays.numbers)
     commands, thrust, _ = delivered_by_commands(before, arguments[f"{NOW}thrust"], arguments[f"{NOW}sent"], numbers)

@@ -59,7 +59,8 @@ def rollout_function(vehicle: Vehicle, residual: Residual, form: Form, nodes: in
     horizon = Horizon(form, nodes, ca.MX, ROLLOUT)
     a = horizon.given
     node = node_function(vehicle, residual, lag=form.lag, added=form.deviation, disturbed=form.disturbed)
-    constant, pushed = [a["tau"]] * form.lag, [a["disturbance"]] * form.disturbed
+    constant = [a["tau"]] * form.lag
+    pushed = [a["disturbance"]] * form.disturbed
     states = [a["x0"]]
     for k, u in enumerate(ca.horzsplit(a["U"])):
         states.append(node(states[-1], u, a["theta"], a["dt"][k], *constant, *horizon.added[k : k + 1], *pushed))
@@ -80,9 +81,13 @@ class FirstSolve:
     def __init__(self, rollout: ca.Function, step: Step, direction: Callable[[], Direction]) -> None:
         arguments = step.arguments
         shared = {name: arguments[name] for name in rollout.name_in() if name != "U"}
-        self._rollout, self._direction = BufferedFunction(rollout, shared), direction
-        self._X, self._U, self._R = arguments["X"], arguments["U"], arguments["R"]
-        self._low, self._high = arguments["u_min"], arguments["u_max"]
+        self._rollout = BufferedFunction(rollout, shared)
+        self._direction = direction
+        self._X = arguments["X"]
+        self._U = arguments["U"]
+        self._R = arguments["R"]
+        self._low = arguments["u_min"]
+        self._high = arguments["u_max"]
 
     def cost(self, inputs: np.ndarray) -> float:
         """J of inputs (N, n) (N); infinite where it is not finite."""
@@ -115,13 +120,16 @@ class FirstSolve:
                     break
                 U, linearised = better
                 cost = self.cost(U)
-                points, steps = [], []
+                points = []
+                steps = []
                 continue
             points, steps = ([*points, U.ravel()][-MEMORY:], [*steps, d.ravel()][-MEMORY:]) if length == 1 else ([], [])
-            U, cost = U + length * d, lower
+            U = U + length * d
+            cost = lower
             combined = self._accelerated(points, steps)
             if combined is not None and (lower := self.cost(combined)) < cost:
-                U, cost = combined, lower
+                U = combined
+                cost = lower
             linearised = self._linearise(U)
         return linearised
 
@@ -132,7 +140,8 @@ class FirstSolve:
 
     def _search(self, U: np.ndarray, d: np.ndarray, cost: float) -> tuple[float, float]:
         """Step length that satisfies the condition, and the cost there; (0, cost) if there is none."""
-        length, slope = 1.0, float((self._R * d * d).sum())
+        length = 1.0
+        slope = float((self._R * d * d).sum())
         for _ in range(HALVINGS):
             lower = self.cost(U + length * d)
             if lower < cost - ARMIJO * length * slope:
@@ -153,7 +162,8 @@ class FirstSolve:
         """Anderson's combination of the last full steps, clipped to the bounds; None with fewer than two."""
         if len(points) < 2:
             return None
-        d_points, d_steps = np.diff(points, axis=0).T, np.diff(steps, axis=0).T
+        d_points = np.diff(points, axis=0).T
+        d_steps = np.diff(steps, axis=0).T
         share = np.linalg.lstsq(d_steps, steps[-1], rcond=1e-10)[0]
         combined = points[-1] + steps[-1] - (d_points + d_steps) @ share
         return np.clip(combined.reshape(self._U.shape), self._low, self._high)

@@ -45,7 +45,8 @@ class _Loops:
     """The two phases on the arrays of a step, and on arrays of its own for what passes from node to node."""
 
     def __init__(self, stages: InterpretedStages, arguments: Arrays, results: Arrays) -> None:
-        nodes, m = len(arguments["U"]), stages.form.states
+        nodes = len(arguments["U"])
+        m = stages.form.states
         shapes = {"P": (m, m), "p": (m,), "multiplier": (m,), "kkt": (1,), "dX": (m,), "extremes": (2,)}
         of_nodes = {name: np.zeros((nodes + 1, *shape)) for name, shape in shapes.items()}
         self._a = arguments | results | of_nodes
@@ -65,7 +66,8 @@ class _Loops:
             function = function.map(function.name(), "serial", count, common, [])
 
         def place(name: str, shape: ca.Sparsity) -> np.ndarray:
-            array, first = self._a.get(name.removesuffix("_next"), np.zeros(0)), k + name.endswith("_next")
+            array = self._a.get(name.removesuffix("_next"), np.zeros(0))
+            first = k + name.endswith("_next")
             array = array if name in COMMON else array[first : first + count]
             return array.reshape(array_for(shape).shape)
 
@@ -101,9 +103,12 @@ class Horizon:
     def __init__(self, form: Form, nodes: int, kind: Any, names: Iterable[str]) -> None:
         shapes, _ = array_shapes(form, nodes)
         self.given = a = named_symbols(kind, {name: shapes[name][::-1] for name in names})
-        self.X_ref, self.U_ref, self.added = a["X_ref"][:, :: form.samples], a["U_ref"], list[Expression]()
+        self.X_ref = a["X_ref"][:, :: form.samples]
+        self.U_ref = a["U_ref"]
+        self.added = list[Expression]()
         if form.deviation:
-            limits, tau = (a["u_min"], a["u_max"]), a["tau"] if form.lag else None
+            limits = (a["u_min"], a["u_max"])
+            tau = a["tau"] if form.lag else None
             self.U_ref, self.added = held_deviation(self.U_ref, *limits, a["dt"], a["first_share"], tau)
         self.frames = reference_frames(self.X_ref, form.attitude_error)
         self.error = attitude_error_in(*self.frames or [None])
@@ -115,12 +120,14 @@ def guess_function(form: Form, nodes: int) -> ca.Function:
     r, added, frames, named as in step.py like the inputs."""
     names = ("X", "U", "X_ref", "U_ref", "Q", "Q_end", "R", "dt", "shift", "u_min", "u_max", "first_share", "tau")
     horizon = Horizon(form, nodes, ca.SX, names)
-    a, kept = horizon.given, {"added": horizon.added, "frames": horizon.frames}
+    a = horizon.given
+    kept = {"added": horizon.added, "frames": horizon.frames}
 
     def moved(values: Expression, share: Expression) -> Expression:
         return ca.horzcat(values[:, :-1] + ca.repmat(share, values.size1(), 1) * ca.diff(values, 1, 1), values[:, -1])
 
-    X_lin, U_lin = moved(a["X"][:, 1:], a["shift"][1:].T), moved(a["U"], a["shift"][:-1].T)
+    X_lin = moved(a["X"][:, 1:], a["shift"][1:].T)
+    U_lin = moved(a["U"], a["shift"][:-1].T)
     length = ca.sqrt(ca.sum1(X_lin[ATTITUDE, :] ** 2))  # integration alone leaves it within half a percent of one, but
     scale = limited(length, LENGTH_MIN, LENGTH_MAX) / length  # at a length of zero a quaternion is no attitude
     X_lin[ATTITUDE, :] *= ca.repmat(scale, 4, 1)

@@ -66,9 +66,11 @@ class ModelPredictiveController:
         backend: str = "auto",
         disturbed: bool = False,
     ) -> None:
-        self.vehicle, self.residual = vehicle, residual
+        self.vehicle = vehicle
+        self.residual = residual
         self.settings = settings = settings or MPCSettings()
-        self.backend, deviation = resolve(backend), settings.input_hold == "deviation"
+        self.backend = resolve(backend)
+        deviation = settings.input_hold == "deviation"
         structure = {"attitude_error": settings.attitude_error, "lag": bool(settings.motor_lag)}
         structure |= {"deviation": deviation, "disturbed": disturbed}
         self.step = Step(
@@ -83,7 +85,8 @@ class ModelPredictiveController:
             arguments["tau"][...] = settings.motor_lag
         self._x0, self._X_ref, self._U_ref = (arguments[name] for name in ("x0", "X_ref", "U_ref"))
         self._X_ref_flat, self._U_ref_flat = self._X_ref.ravel(), self._U_ref.ravel()
-        self._X, self._U = arguments["X"], arguments["U"]
+        self._X = arguments["X"]
+        self._U = arguments["U"]
         self._X_ref_body = self._X_ref[:, :N_STATE]
         self._X_new, self._U_new = (self.step.results[name] for name in ("X_new", "U_new"))
         self._checks, self._thrust = self.step.results["checks"], self._U[0]
@@ -91,12 +94,14 @@ class ModelPredictiveController:
         self._attitude_predicted = self._X[0, ATTITUDE]
         self._first_solve: FirstSolve | None = None  # few flights need it
         self.memory = Memory("MPC", worked={name: arguments[name] for name in ("X", "U", "guess")})
-        self.prepared, self._cold = False, True
+        self.prepared = False
+        self._cold = True
         self.set_parameters(residual.theta)
 
     def weights(self, settings: MPCSettings) -> dict[str, np.ndarray]:
         """Weights and node times of settings as the step has them, by its arguments' names."""
-        share, vehicle = settings.node_share[:, None], self.vehicle
+        share = settings.node_share[:, None]
+        vehicle = self.vehicle
         Q_end = np.zeros_like(self.step.arguments["Q_end"])  # thrusts that are states weigh nothing
         Q_end[:N_STATE] = settings.state_weight()
         shift = settings.control_period / settings.node_periods  # share of each node between two steps
@@ -106,7 +111,8 @@ class ModelPredictiveController:
 
     def _weigh(self, settings: MPCSettings) -> None:
         """Enter weights and node times."""
-        arguments, vehicle = self.step.arguments, self.vehicle
+        arguments = self.step.arguments
+        vehicle = self.vehicle
         for name, values in self.weights(settings).items():
             arguments[name][...] = values.reshape(arguments[name].shape)
         # An input error du means a gradient of at least R du, and rounding errors of the gradient grow with R.
@@ -122,10 +128,13 @@ class ModelPredictiveController:
         fixed = ("nodes", "input_hold", "attitude_error", "rate", "motor_lag")
         if any(getattr(settings, name) != getattr(self.settings, name) for name in fixed):
             raise UsageError(f"settings in flight: {', '.join(fixed)} must remain as they are")
-        former, self.settings, self.prepared = self.settings, settings, False
+        former = self.settings
+        self.settings = settings
+        self.prepared = False
         self._active_set.reset()
         if changed(former, dead_time=settings.dead_time, motor_lead=settings.motor_lead) != settings:
-            before, now = former.node_times, settings.node_times
+            before = former.node_times
+            now = settings.node_times
             self._X[...] = np.column_stack([np.interp(now, before, column) for column in self._X.T])
             held = np.clip(np.searchsorted(before, now[:-1] + 1e-9) - 1, 0, settings.nodes - 1)
             self._U[...] = self._U[held]
@@ -201,11 +210,13 @@ class ModelPredictiveController:
         self._X[-1, N_STATE:] = self._X[-2, N_STATE:]
         self._active_set.reset()
         self.memory.commit()
-        self._cold, self.prepared = True, False
+        self._cold = True
+        self.prepared = False
 
     def go_on(self) -> None:
         """Take `memory`, which has been restored, for the last solution of a flight that goes on."""
-        self._cold, self.prepared = False, False
+        self._cold = False
+        self.prepared = False
 
     def _set_reference(self, state_reference: np.ndarray, input_reference: np.ndarray, finite: bool = False) -> None:
         if state_reference is not self._X_ref:  # else it is in place already
@@ -286,7 +297,8 @@ class ModelPredictiveController:
         """Iterate on the first measurement without shifting the guess: full steps first, then with a line search."""
         shift = self.step.arguments["shift"]
         shift[...] = 0.0
-        guess, iterations = self._U.copy(), self.settings.initial_iterations
+        guess = self._U.copy()
+        iterations = self.settings.initial_iterations
         for _ in range(min(iterations, PLAIN_ITERATIONS)):
             outcome = self._iterate()
             if outcome[0] == Status.FAILED or outcome[3] < CONVERGED:
@@ -355,7 +367,8 @@ class ModelPredictiveController:
         if turn <= MAX_TURN:
             self._X[...], self._U[...] = X_new, U_new
             return
-        x, u = self.step.results["X_lin"], self.step.results["U_lin"]
+        x = self.step.results["X_lin"]
+        u = self.step.results["U_lin"]
         length = MAX_TURN / turn
         self._X[...] = x + length * (X_new - x)
         self._U[...] = u + length * (U_new - u)

@@ -85,7 +85,9 @@ def linearise_function(vehicle: Vehicle, residual: Residual, form: Form, *, scal
         residual = replace(residual, function=residual.to_compile)
     structure = {"lag": form.lag, "added": form.deviation, "disturbed": form.disturbed}
     node = rk4_sensitivity_function(vehicle, residual, scalar=scalar, **structure)
-    m, n, frame = form.states, form.inputs, (4, 4 * form.frames)
+    m = form.states
+    n = form.inputs
+    frame = (4, 4 * form.frames)
     shapes = {"X_lin": (m, 1), "U_lin": (n, 1), "theta": (form.parameters, 1), "dt": (1, 1), "X_lin_next": (m, 1)}
     shapes |= {"tau": (form.lag, 1), "added": (n, 3 * form.deviation)}
     shapes |= {"disturbance": (N_DISTURBANCE * form.disturbed, 1)}
@@ -105,7 +107,8 @@ def linearise_function(vehicle: Vehicle, residual: Residual, form: Form, *, scal
 def held_function(form: Form) -> ca.Function:
     """(start, middle, end, dt, share, u_min, u_max, with a lag tau) -> reference u* (n,), added (n, 3), see
     prediction.held_thrust."""
-    n, names = form.inputs, ("start", "middle", "end", "dt", "share", "u_min", "u_max", *(["tau"] if form.lag else []))
+    n = form.inputs
+    names = ("start", "middle", "end", "dt", "share", "u_min", "u_max", *(["tau"] if form.lag else []))
     a = named_symbols(ca.SX, {name: 1 if name in ("dt", "share", "tau") else n for name in names})
     return dense_function("held", a, named(("reference", "added"), held_thrust(*a.values())))
 
@@ -127,11 +130,15 @@ def start_function(form: Form) -> ca.Function:
 def backward_function(form: Form) -> ca.Function:
     """One node of the backward pass. P, p: of the cost to go. multiplier: of the dynamics into a node. kkt: the largest
     of the gaps of the dynamics and of the projected gradient step in u, from a node on."""
-    m, n, affine = form.states, form.inputs, form.states - N_PLACE + form.inputs
+    m = form.states
+    n = form.inputs
+    affine = form.states - N_PLACE + form.inputs
     shapes = {"P_next": (m, m), "p_next": m, "multiplier_next": m, "kkt_next": 1, "rows": (form.line, m), "q": m}
     a = named_symbols(ca.MX, shapes | {"r": n, "Q": m, "R": n, "U_lin": n, "u_min": n, "u_max": n})
     P, p, multiplier, q, r = (a[name] for name in ("P_next", "p_next", "multiplier_next", "q", "r"))
-    M, place, motion = a["rows"][: affine + 1, :], slice(0, N_PLACE), slice(0, m - N_PLACE)
+    M = a["rows"][: affine + 1, :]
+    place = slice(0, N_PLACE)
+    motion = slice(0, m - N_PLACE)
     u = slice(m - N_PLACE, affine)
     W = M @ P  # its first columns belong to the position
     S = W @ M.T
@@ -141,7 +148,8 @@ def backward_function(form: Form) -> ca.Function:
     mixed = W[motion, place]
     curvature = ca.blockcat([[P[place, place], mixed.T], [mixed, S[motion, motion]]])
     gradient = ca.vertcat(p[place] + W[affine, place].T, S[motion, affine] + slope[motion, 0])
-    gap, step = M[affine, :], a["U_lin"] - limited(a["U_lin"] - r - slope[u, 1], a["u_min"], a["u_max"])
+    gap = M[affine, :]
+    step = a["U_lin"] - limited(a["U_lin"] - r - slope[u, 1], a["u_min"], a["u_max"])
     results = {"P": curvature - G.T @ K + ca.diag(a["Q"]), "p": q + gradient - G.T @ k}
     results |= {"multiplier": q + ca.vertcat(multiplier[place], slope[motion, 1])}
     results |= {"kkt": ca.fmax(a["kkt_next"], ca.fmax(ca.norm_inf(gap), ca.norm_inf(step)))}
@@ -151,14 +159,16 @@ def backward_function(form: Form) -> ca.Function:
 def forward_function(form: Form) -> ca.Function:
     """One node of the forward pass. dX: change of the state in the cost's coordinates. extremes (2,): the largest bound
     violation (N) and change of a quaternion (length) before a node."""
-    m, n = form.states, form.inputs
+    m = form.states
+    n = form.inputs
     shapes = {"dX": m, "extremes": 2, "rows": (form.line, m), "K": (n, m), "k": n, "U_lin": n, "u_min": n, "u_max": n}
     a = named_symbols(ca.MX, shapes | {"X_lin_next": m, "frames_next": (4, 4 * form.frames)})
     du = -a["k"] - a["K"] @ a["dX"]
     padding = ca.MX(form.line - (m - N_PLACE + n + 1), 1)
     dx = a["rows"].T @ ca.vertcat(a["dX"][N_PLACE:], du, 1, padding)
     dx += ca.vertcat(a["dX"][:N_PLACE], ca.MX(m - N_PLACE, 1))
-    u_new, error = a["U_lin"] + du, attitude_error_in(a["frames_next"] if form.frames else None)
+    u_new = a["U_lin"] + du
+    error = attitude_error_in(a["frames_next"] if form.frames else None)
     excess = ca.mmax(ca.vertcat(a["extremes"][0], u_new - a["u_max"], a["u_min"] - u_new))
     extremes = ca.vertcat(excess, ca.fmax(a["extremes"][1], ca.norm_2(dx[ATTITUDE])))
     moved = {"X_new_next": a["X_lin_next"] + error.change(0, dx), "U_new": u_new}

@@ -39,7 +39,8 @@ def node_function(
     (N), (n, 3): at the start, the middle and the end of the node; with `disturbed` the last one is a disturbance (6,),
     see physics.rigid_body.
     """
-    n, dynamics = vehicle.n_rotors, corrected_function(vehicle, residual)
+    n = vehicle.n_rotors
+    dynamics = corrected_function(vehicle, residual)
     x, u, dt, theta, tau, plus, disturbance = symbols(
         ca.MX,
         x=N_STATE + n * lag,
@@ -89,7 +90,8 @@ def held_deviation(
     """
     samples = [limited(thrust, u_min, u_max) for thrust in ca.horzsplit(thrusts)]
     samples.append(2 * samples[-1] - samples[-2])
-    commands, added = [], []
+    commands = []
+    added = []
     for k, dt_k in enumerate(ca.vertsplit(dt)):
         node = [*samples[SAMPLES * k : SAMPLES * k + 3], dt_k, first_share if k == 0 else type(dt)(1), u_min, u_max]
         command, beyond = as_scalars(held_thrust)(*node, *([] if tau is None else [tau]))
@@ -110,7 +112,8 @@ def held_thrust(
 ) -> list[Expression]:
     """u* within its limits and the added thrusts for T*(s dt) = start + slope s + bend s^2, 0 <= s <= 1; u* is held
     until s = share."""
-    slope, bend = 4 * middle - 3 * start - end, 2 * (start + end - 2 * middle)
+    slope = 4 * middle - 3 * start - end
+    bend = 2 * (start + end - 2 * middle)
     command = start + share * (slope / 2 + share * bend / 3)
     if tau is None:
         return [limited(command, u_min, u_max), ca.horzcat(start, middle, end) - command]

@@ -167,7 +167,9 @@ class MPCSettings(Settings):
 @cache
 def _geometric_sums(terms: int, total: float) -> np.ndarray:
     """Partial sums, (terms,), of the series 1 + g + g^2 + .. whose sum is total; g >= 1 is found by bisection."""
-    low, high, sums = 1.0, max(total, 1.0), np.arange(1.0, terms + 1)
+    low = 1.0
+    high = max(total, 1.0)
+    sums = np.arange(1.0, terms + 1)
     for _ in range(100):
         ratio = (low + high) / 2
         sums = np.cumsum(ratio ** np.arange(terms))

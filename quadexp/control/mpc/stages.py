@@ -112,7 +112,8 @@ class CompiledStages:
     """See step.Stages. library: with the functions of stages.c."""
 
     def __init__(self, form: Form, library: Path) -> None:
-        self.form, self.library = form, library
+        self.form = form
+        self.library = library
         self._code = ctypes.PyDLL(str(library))  # which keeps the interpreter's lock: a step is short
 
     def on(self, arguments: Arrays, results: Arrays) -> list[Phase]:

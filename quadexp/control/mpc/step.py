@@ -57,7 +57,8 @@ class Step:
     """
 
     def __init__(self, stages: Stages, nodes: int) -> None:
-        self.stages, self.form = stages, stages.form
+        self.stages = stages
+        self.form = stages.form
         self.arguments, self.results = (
             {name: aligned(shape) for name, shape in shapes.items()} for shapes in array_shapes(stages.form, nodes)
         )
@@ -75,7 +76,8 @@ class Step:
 
 def dynamics_of(rows: np.ndarray, form: Form) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A, B and b, see Step.dynamics, from rows (N, m, line)."""
-    motion, n = form.states - N_PLACE, form.inputs
+    motion = form.states - N_PLACE
+    n = form.inputs
     place = np.broadcast_to(np.eye(form.states, N_PLACE), (len(rows), form.states, N_PLACE))
     A = np.concatenate([place, rows[:, :, :motion]], axis=2)
     return A, rows[:, :, motion : motion + n], rows[:, :, motion + n]
@@ -83,8 +85,11 @@ def dynamics_of(rows: np.ndarray, form: Form) -> tuple[np.ndarray, np.ndarray, n
 
 def array_shapes(form: Form, nodes: int) -> list[dict[str, tuple[int, ...]]]:
     """Of all arguments and all results, in the order of stages.c; those that the form lacks are empty."""
-    m, n, samples = form.states, form.inputs, form.samples
-    states, inputs = (nodes + 1, m), (nodes, n)
+    m = form.states
+    n = form.inputs
+    samples = form.samples
+    states = (nodes + 1, m)
+    inputs = (nodes, n)
     arguments: dict[str, tuple[int, ...]] = {
         "x0": (m,),
         "X": states,
