@@ -63,6 +63,8 @@ def check_names(record: Mapping[str, Any], where: str) -> None:
     """Raise DataError where the record of a file, or a result row, holds a name that is none; "" is a missing one."""
     for part in (record, record.get("config"), record.get("row")):
         for key, value in part.items() if isinstance(part, Mapping) else ():
-            name = value.get("name", "") if isinstance(value, Mapping) else value if key in NAMED else ""
+            name = value if key in NAMED else ""
+            if isinstance(value, Mapping):
+                name = value.get("name", "")
             if name and not (isinstance(name, str) and is_name(name)):
                 raise DataError(f"{where}: the name of its {key} is not one printable line ({str(name)[:60]!r})")

@@ -235,7 +235,9 @@ def _flight_name(config: Config) -> str:
 
 def _results_name(overrides: Overrides, config: Config, sweep: bool) -> str:
     experiments = [text.partition("=")[2] for text in overrides if text.startswith("experiment=")]
-    return file_name(experiments[-1] if experiments else "sweep" if sweep else _flight_name(config))
+    if experiments:
+        return file_name(experiments[-1])
+    return "sweep" if sweep else _flight_name(config)
 
 
 # -------------------------------------------------------------------------------------------------------------- learn
@@ -261,8 +263,9 @@ def collect(
         raise UsageError(
             "--sweep and --flight: give one of them; recorded flights are of the worlds they were flown in"
         )
+    command = "collect --sweep" if sweep else "collect"
     with session(conf) as composer:
-        composer.only("collect --flight" if flights else "collect --sweep" if sweep else "collect", overrides)
+        composer.only("collect --flight" if flights else command, overrides)
         worlds = [cell.config for cell in composer.expand(overrides).all_valid_or_raise()] if sweep else []
         config = worlds[0] if worlds else composer.compose(overrides)
     path = check_output(out, force=force)

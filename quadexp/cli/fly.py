@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from typing import Annotated
+from typing import Annotated, Literal
 
 from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Overrides, command
 from quadexp.cli.terminal import say
@@ -61,8 +61,9 @@ def evaluate(
         raise UsageError("--refly and --keep-old: give one of them")
     if watch and not sweep:
         raise UsageError("--watch is for a sweep: add --sweep")
+    old: Literal["ask", "refly"] = "refly" if refly else "ask"
     swept = requests.evaluate(
-        overrides, out, conf, sweep=sweep, figures=figures, old="refly" if refly else "keep" if keep_old else "ask",
+        overrides, out, conf, sweep=sweep, figures=figures, old="keep" if keep_old else old,
         force=force, watch=watch, progress=lambda below: Progress("flights", below), say=say,
     )  # fmt: skip
     result = swept.result

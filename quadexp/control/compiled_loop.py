@@ -216,7 +216,9 @@ def _structure_of(o: Call) -> ctypes.Structure:
     """As C has it."""
     counted = o.to if o.to is not None else o.source
     function = o.function
-    count = 0 if counted is None else counted.strides[0] // 8 if o.kind == "window" else counted.size
+    count = 0
+    if counted is not None:
+        count = counted.strides[0] // 8 if o.kind == "window" else counted.size
     after = o.source if o.kind == "commit" else None
     places = addresses({"to": o.to, "source": o.source, "other": o.other, "when": o.when, "next": after})
     if function is not None:

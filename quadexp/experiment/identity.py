@@ -167,7 +167,8 @@ def unused_model(configs: Iterable[Config]) -> str:
     if not without:
         return ""
     names = " and ".join(without) if len(without) < 3 else f"none of {', '.join(without)}"
-    verb = "takes a model" if len(without) > 2 else "take no model" if len(without) == 2 else "takes no model"
+    verbs = {1: "takes no model", 2: "take no model"}
+    verb = verbs.get(len(without), "takes a model")
     return f"{names} {verb}: model={next(iter(without.values()))} is not used"
 
 

@@ -161,7 +161,9 @@ class Ratio(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        return "better" if self.high < 1 else "worse" if self.low > 1 else "open"
+        if self.high < 1:
+            return "better"
+        return "worse" if self.low > 1 else "open"
 
     def record(self) -> dict[str, Any]:
         """JSON-able."""

@@ -90,7 +90,9 @@ def _all_keys(files: OptionFiles) -> list[Record]:
 def _key(name: str, key: Declared, value: Any) -> Record:
     words = _words(key)
     allowed = " ".join(words) if words else f"{key.setting.interval} {key.setting.unit}".strip()
-    default = "" if value == REQUIRED else "..." if key.node else shown(value)
+    default = "..." if key.node else shown(value)
+    if value == REQUIRED:
+        default = ""
     return {"key": name, "value": default, "allowed": allowed, "meaning": key.setting.meaning}
 
 

@@ -226,8 +226,12 @@ def _text(value: Any) -> str:
 def in_grammar(key: str, value: Any) -> str:
     """One value of a key in the grammar of overrides; UsageError for what is no value."""
     value = value.tolist() if hasattr(value, "tolist") else value
-    if value is None or isinstance(value, (bool, int, float)):
-        return "null" if value is None else str(value).lower() if isinstance(value, bool) else repr(value)
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (int, float)):
+        return repr(value)
     if isinstance(value, Mapping):
         return f"{{{','.join(f'{name}:{in_grammar(key, item)}' for name, item in value.items())}}}"
     if isinstance(value, (list, tuple, range)):

@@ -316,7 +316,8 @@ def _checked(key: str, value: Any, about: Declared) -> Any:
         raise ForbiddenValueError(f"{key}={shown(value)}: must be a list of {about.length} numbers")
     if about.setting.names and not is_name(value):
         raise ForbiddenValueError(f"{key}={value!r}: must be one printable line")
-    for number in (value if isinstance(value, tuple) else (value,)) if interval else ():
+    numbers = value if isinstance(value, tuple) else (value,)
+    for number in numbers if interval else ():
         if not inside(number, interval):
             raise ForbiddenValueError(f"{key}={shown(value)}: must be in {interval} {unit}".rstrip())
     return value
@@ -380,4 +381,6 @@ def _ends(interval: str) -> tuple[bool, float, float, bool]:
 
 def shown(value: Any) -> str:
     """A value as an override has it."""
-    return "null" if value is None else str(lists(value)).replace(" ", "") if not isinstance(value, str) else value
+    if value is None:
+        return "null"
+    return value if isinstance(value, str) else str(lists(value)).replace(" ", "")

@@ -108,7 +108,10 @@ def rk4_sensitivity_function(
     if lag:
         x_next, A, by_inputs = outputs
         outputs = _with_thrusts(x_next, A, by_inputs, delivered, ca.exp(-dt / tau))
-    outputs = ca.cse(outputs) if flat else outputs if scalar else [ca.densify(output) for output in outputs]
+    if flat:
+        outputs = ca.cse(outputs)
+    elif not scalar:
+        outputs = [ca.densify(output) for output in outputs]
     inputs = {"x": start, "u": u, "theta": theta, "dt": dt}
     further = {"tau": (lag, tau), "added": (added, plus), "disturbance": (disturbed, disturbance)}
     inputs |= {name: symbol for name, (asked, symbol) in further.items() if asked}

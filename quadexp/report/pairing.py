@@ -312,7 +312,9 @@ class Groups:
                 causes["not asked for" if not mine else f"not asked of {name}"] += 1
             elif (outcome := mine[0].outcome) != "ok":
                 other = its[0].outcome
-                also = f" as was {name}" if other == outcome else f" ({name} {other})" if other != "ok" else ""
+                also = "" if other == "ok" else f" ({name} {other})"
+                if other == outcome:
+                    also = f" as was {name}"
                 causes[outcome + also] += 1
             elif its[0].outcome != "ok":
                 causes[f"{its[0].outcome} by {name}"] += 1

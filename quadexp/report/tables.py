@@ -249,5 +249,7 @@ def csv_of(frame: SweepFrame, names: Sequence[str]) -> str:
 
 def heading(name: str) -> str:
     """The name with the unit in which its numbers are shown."""
+    if not is_metric(name):
+        return with_unit(name, name)
     unit = shown(name)[1]
-    return with_unit(name, name) if not is_metric(name) else f"{name} ({unit})" if unit else name
+    return f"{name} ({unit})" if unit else name

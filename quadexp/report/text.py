@@ -1,22 +1,12 @@
-"""Numbers, intervals and lists as text: one format for terminal, Markdown, LaTeX and the page.
-
-All texts are ASCII; `typeset` sets them with the minus signs and fixed blanks of the page.
-"""
+"""Numbers, intervals and lists as text, in ASCII: one format for terminal, Markdown and LaTeX."""
 
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from typing import Any
 
 from quadexp.report.metrics import metric_of
-
-MOST_DECIMALS = 3  # of a percentage
-SPACE, NOBREAK, MINUS, DASH = "\u202f", "\u00a0", "\u2212", "\u2013"  # SPACE: narrow, does not break
-_MINUS = re.compile(r"(?<![\w.=/:-])-(?=\d)")
-_UNIT = re.compile(r"(?<=\d) (?=(?:mm|m/s|ms|µs|s|%|°)(?![\w/]))")
-_BRACKETS = re.compile(r"\[[^\[\]]*\d\]|\bp [<=] ")
 
 
 def shown(metric: str) -> tuple[float, str]:
@@ -36,7 +26,9 @@ def significant(value: float, least: int = 1) -> str:
 
 def number(value: float) -> str:
     """As `significant`, but tiny values with a power of ten, and "-" for NaN."""
-    return "-" if not math.isfinite(value) else f"{value:.2e}" if 0 < abs(value) < 1e-5 else significant(value)
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:.2e}" if 0 < abs(value) < 1e-5 else significant(value)
 
 
 def with_interval(value: float, low: float = math.nan, high: float = math.nan) -> tuple[str, str]:
@@ -49,34 +41,20 @@ def with_interval(value: float, low: float = math.nan, high: float = math.nan) -
     return text, f" [{low:.{decimals}f}, {high:.{decimals}f}]"
 
 
-def percent(value: float, low: float = math.nan, high: float = math.nan, *, least: int = 1) -> tuple[str, str]:
-    """Such as ("98.6 %", " [98.5, 98.7]"); more decimals if the interval is narrow, or close to 100 % without one."""
-    half = (high - low) / 2
-    if not math.isfinite(value):
-        return "-", ""
-    if half > 0 and math.isfinite(half):
-        decimals = min(max(1, -math.floor(math.log10(half))), MOST_DECIMALS)
-        return f"{value:.{decimals}f} %", f" [{low:.{decimals}f}, {high:.{decimals}f}]"
-    missing = abs(100 - abs(value))
-    decimals = max(least, 1 - math.floor(math.log10(missing))) if 0 < missing < 0.5 else least
-    return f"{value:.{min(decimals, 4)}f} %", ""
-
-
 def plain(value: Any) -> str:
     """A value of a setting: "" for None, true and false in small letters, floats without superfluous digits."""
     if value is None:
         return ""
-    return str(value).lower() if isinstance(value, bool) else f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def relative(value: float) -> str:
-    """Such as "-99.1 %", "same", or "-" for NaN."""
-    return "-" if math.isnan(value) else "same" if value == 0 else f"{value:+.3g} %"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def p_value(p: float) -> str:
     """Such as "0.031", "< 0.0001", or "-" for NaN."""
-    return "-" if math.isnan(p) else "< 0.0001" if p < 1e-4 else f"{p:.2g}"
+    if math.isnan(p):
+        return "-"
+    return "< 0.0001" if p < 1e-4 else f"{p:.2g}"
 
 
 def probability(p: float) -> str:
@@ -91,15 +69,6 @@ def too_few(seeds: int, least: int, confidence: float, over: str = "") -> str:
     return f"{count(seeds, 'seed')}, which change nothing: no test"
 
 
-def duration(seconds: float, exact: bool = False) -> str:
-    """A time in a suitable unit: 40.3 µs, 14.2 ms, 2.10 s. exact: without zeros at the end."""
-    if not math.isfinite(seconds):
-        return "-"
-    factor, unit = (1.0, "s") if seconds >= 1 else (1e3, "ms") if 1e3 * seconds >= 1 else (1e6, "µs")
-    value = factor * seconds
-    return f"{value:g} {unit}" if exact else f"{value:.{0 if value >= 100 else 1 if value >= 10 else 2}f} {unit}"
-
-
 def speed_text(speed: Any, unit: str = " m/s") -> str:
     """A nominal speed such as "8 m/s"; "" for a trajectory without one (None or NaN)."""
     return "" if speed is None or math.isnan(float(speed)) else f"{float(speed):g}{unit}"
@@ -112,10 +81,6 @@ def count(n: int, what: str) -> str:
 
 def listed(words: Sequence[str], last: str = "and") -> str:
     """Such as "circle, lemniscate and hover"."""
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}" if words else ""
-
-
-def typeset(text: str) -> str:
-    """The text with minus signs, dashes, narrow blanks before units, and no line breaks inside intervals."""
-    text = _BRACKETS.sub(lambda match: match[0].replace(" ", NOBREAK), _UNIT.sub(SPACE, _MINUS.sub(MINUS, text)))
-    return DASH if text == "-" else text
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} {last} {words[-1]}"

@@ -13,7 +13,6 @@ from quadexp.experiment.build import build_vehicle, unshared
 from quadexp.experiment.collect import Setpoints, collect_flights, setpoints
 from quadexp.experiment.evaluate import InfeasibleError, fly_one, generator
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
-from quadexp.experiment.vehicle_of import own_vehicle
 from quadexp.log.schema import Flight
 from quadexp.parts.compose import compose
 from quadexp.physics.state import STATE_COLUMNS
@@ -165,4 +164,6 @@ def test_the_noise_is_that_of_earlier_flights():
 def test_a_flight_describes_its_vehicle():
     config = compose(["vehicle=lei_li"])
     metadata = {"config": {"vehicle": asdict(config.vehicle)}}
+    from quadexp.plugins.logs.vehicle_of import own_vehicle
+
     assert own_vehicle(Flight({"t": np.zeros(1)}, metadata)) == build_vehicle(config.vehicle)

@@ -4,8 +4,9 @@ import math
 
 import pytest
 
+from quadexp.plugins.page.typeset import duration, percent, relative, typeset
 from quadexp.report import text
-from quadexp.report.text import count, duration, listed, number, percent, relative, speed_text, typeset
+from quadexp.report.text import count, listed, number, speed_text
 
 
 @pytest.mark.parametrize("value", [0.0, 3e-7, 0.0123, 1.234, 99.96, 1234.5, -0.5, -7e-6])

@@ -14,12 +14,13 @@ from quadexp.log.store import read_table, read_text, write_table
 from quadexp.names import distinct
 from quadexp.plugins.bench.protocol import FORMER, SHORT
 from quadexp.plugins.bench.ranking import Row, Standing, cell_of, standings
+from quadexp.plugins.page.typeset import duration
 from quadexp.provenance import provenance
 from quadexp.report.inference import least_seeds
 from quadexp.report.metrics import from_columns, metric_of, to_columns
 from quadexp.report.pairing import grouped
 from quadexp.report.table import Table
-from quadexp.report.text import count, duration, listed, number, too_few
+from quadexp.report.text import count, listed, number, too_few
 from quadexp.writer import check_output, write_text
 
 FILE = "leaderboard.parquet"

@@ -51,7 +51,8 @@ def check(paths: Sequence[Path], vehicle: str | None = None, conf: Folders = Non
 
 
 def _vehicle_of(flight: Flight, name: str | None, conf: Folders) -> Any:
-    from quadexp.experiment.vehicle_of import own_vehicle, vehicle_named
+    from quadexp.experiment.vehicle_of import vehicle_named
+    from quadexp.plugins.logs.vehicle_of import own_vehicle
 
     if name is not None:
         return vehicle_named(name, conf)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment.vehicle_of import own_vehicle, vehicle_named
+from quadexp.experiment.vehicle_of import vehicle_named
 from quadexp.log.schema import Flight, is_recorded
 from quadexp.log.store import read_flight
 from quadexp.models.dataset import as_told, transitions
@@ -28,6 +28,7 @@ from quadexp.plugins.identification.rotor_thrust import Timing, fit_timing
 from quadexp.plugins.identification.timing import KNOWN, LARGEST, Delays, Search
 from quadexp.plugins.logs.command_lag import CommandLag, find_lag
 from quadexp.plugins.logs.samples import COMMANDS, READINGS, Samples, gather, rotor_columns
+from quadexp.plugins.logs.vehicle_of import own_vehicle
 from quadexp.writer import check_output
 
 EVEN = 1e-3  # share of a period by which samples may be uneven

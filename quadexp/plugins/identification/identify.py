@@ -18,7 +18,7 @@ import numpy as np
 from msgspec.structs import replace as with_changes
 
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment.vehicle_of import own_vehicle, recorded_vehicle, refuse_repeated, vehicle_named
+from quadexp.experiment.vehicle_of import refuse_repeated, vehicle_named
 from quadexp.log import store
 from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import save_model
@@ -43,6 +43,7 @@ from quadexp.plugins.identification.vehicle_model import (
 )
 from quadexp.plugins.identification.vehicle_numbers import numbers_of
 from quadexp.plugins.logs.samples import QUATERNION, RATES, READINGS, SIGNALS, Samples, gather_to_fit, rotor_columns
+from quadexp.plugins.logs.vehicle_of import own_vehicle, recorded_vehicle
 from quadexp.plugins.papers.lei_li.blade_element import Identification, identify_flight
 from quadexp.provenance import provenance, versions
 from quadexp.writer import check_output

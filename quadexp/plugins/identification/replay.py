@@ -30,7 +30,6 @@ from scipy.spatial.transform import Rotation
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
-from quadexp.experiment.vehicle_of import config_for
 from quadexp.log.runs import longest
 from quadexp.log.schema import Flight, is_recorded
 from quadexp.log.store import read_flight
@@ -45,6 +44,7 @@ from quadexp.plugins.identification.torque_gain import TorqueGain
 from quadexp.plugins.identification.validation import POINT, WORLD_VELOCITY, Predictor
 from quadexp.plugins.identification.vehicle_model import VehicleModel
 from quadexp.plugins.logs.samples import QUATERNION, FlightRows, read_rows
+from quadexp.plugins.logs.vehicle_of import config_for
 from quadexp.provenance import provenance, versions
 from quadexp.writer import check_output, write_text
 

@@ -30,7 +30,6 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment.vehicle_of import own_vehicle
 from quadexp.log.schema import Flight
 from quadexp.models.regression import half_width, regress
 from quadexp.parts.options import Folders
@@ -40,6 +39,7 @@ from quadexp.plugins.identification.thrust_curve import CurveSettings, ThrustCur
 from quadexp.plugins.identification.torque_gain import TorqueGain, gains, own_timing
 from quadexp.plugins.identification.turning import AXES, LEAST, OTHER, Turning, speed_of, turnings
 from quadexp.plugins.logs.samples import COMMANDS, Samples, gather_to_fit, read_rows
+from quadexp.plugins.logs.vehicle_of import own_vehicle
 from quadexp.report.table import Table
 
 LOW, HIGH = 1.0, 15.0  # Hz

@@ -28,6 +28,7 @@ from quadexp.log.store import read_flight, read_metadata
 from quadexp.names import distinct
 from quadexp.parts.settings import flat
 from quadexp.physics.state import norms
+from quadexp.plugins.page.typeset import relative
 from quadexp.report.frame import read_results
 from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, metric_of
@@ -44,7 +45,7 @@ from quadexp.report.pairing import (
 from quadexp.report.statistics import Statistic, overall
 from quadexp.report.summary import held_out_rows, kind_of, summarise
 from quadexp.report.table import Table
-from quadexp.report.text import count, number, p_value, plain, relative, shown, speed_text
+from quadexp.report.text import count, number, p_value, plain, shown, speed_text
 
 ABSENT = "-"
 MOST_LINES = 16  # settings shown; --json has all

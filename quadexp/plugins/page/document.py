@@ -11,10 +11,10 @@ from importlib.resources import files
 from typing import Any
 
 from quadexp.messages import clean
+from quadexp.plugins.page.typeset import typeset
 from quadexp.report.frame import SweepFrame
 from quadexp.report.table import Table
 from quadexp.report.tables import flights_table
-from quadexp.report.text import typeset
 
 _NUMBER = re.compile(r"(\*\*)?(-?[\d.e+-]+)(?:\*\*)?(?: (\[[^\]]*\]))?(\*)?(?: \((.*)\))?")
 

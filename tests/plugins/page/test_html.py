@@ -13,11 +13,11 @@ from quadexp.plugins.page.report.answer import answer
 from quadexp.plugins.page.report.panels import swept_section
 from quadexp.plugins.page.report.sections import sweep_command
 from quadexp.plugins.page.report.source import read_comparison
+from quadexp.plugins.page.typeset import typeset
 from quadexp.plugins.page.view import automatic
 from quadexp.report.frame import SweepFrame
 from quadexp.report.metrics import from_columns
 from quadexp.report.tables import error_table
-from quadexp.report.text import typeset
 from tests.report.results import ERRORS, make_results, many_results
 from tests.report.sweeps import noise, swept
 

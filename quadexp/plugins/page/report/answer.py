@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 from quadexp.names import distinct
 from quadexp.plugins.page.report.source import Comparison
+from quadexp.plugins.page.typeset import duration, percent, typeset
 from quadexp.report.metrics import metric_of
 from quadexp.report.pairing import World, grouped
-from quadexp.report.text import count, duration, listed, number, percent, shown, typeset
+from quadexp.report.text import count, listed, number, shown
 
 QUESTION = (
     "How much does knowing the aerodynamics buy, which way of knowing it is best, and does it still run in real time?"

@@ -18,6 +18,7 @@ from quadexp.parts.override import quoted
 from quadexp.parts.settings import flat
 from quadexp.plugins.page.document import Block, Cell, Section
 from quadexp.plugins.page.report.source import Comparison, Record
+from quadexp.plugins.page.typeset import duration, percent
 from quadexp.report.checked import versions_of
 from quadexp.report.metrics import metric_of, position_error, tabled
 from quadexp.report.notes import table_notes
@@ -27,7 +28,7 @@ from quadexp.report.statistics import Statistic
 from quadexp.report.summary import margin_line
 from quadexp.report.table import Table
 from quadexp.report.tables import comparison_table, error_table
-from quadexp.report.text import duration, number, percent, probability, shown, speed_text
+from quadexp.report.text import number, probability, shown, speed_text
 
 WORST = 9  # rows that fit on a screen
 EACH = 2  # flights of one contestant among the worst, of those that were completed
