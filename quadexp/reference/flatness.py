@@ -34,10 +34,8 @@ from quadexp.reference.fixed_point import Settings, consistent_air
 from quadexp.reference.motion import Air, Constant, Demand, Motion, flat_motion
 from quadexp.reference.time_grid import TimeGrid
 
-# On the last change of the residual's outputs, m/s^2 and N m: the error is some tenths of it; and of each of the two
-# iterations of fixed_point.py, which also end when they stall.
-TOLERANCE = 1e-9
-ITERATIONS = 100
+TOLERANCE = 1e-9  # m/s^2, N m: last change of the residual's outputs; the error is some tenths of it
+ITERATIONS = 100  # of each of the two of fixed_point.py, which also end when they stall
 COARSE_TOLERANCE = 1e-5  # m/s^2, N m: accuracy of the interpolation between coarse nodes
 COARSE_ITERATIONS = 30  # at most; a fixed point that contracts by half reaches 1e-9
 BISECTIONS = 5  # of the share of the residual: its resolution and least value is 1/32
