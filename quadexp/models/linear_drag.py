@@ -212,8 +212,7 @@ def fit_linear_drag(
             names.append("intercept")
         target = dataset.matrix([f"a_{axis}"])[:, 0]
         fit = regress(
-            design, target, names, flight, flight, what=f"drag fit of a_{axis}", loss=loss, intervals=intervals,
-            over="flights",
+            design, target, names, flight, what=f"drag fit of a_{axis}", loss=loss, intervals=intervals,
         )  # fmt: skip
         value[places], error[places], freedom[places] = fit.coefficients, fit.errors, fit.freedom
         std[i] = root_mean_square(fit.residual)

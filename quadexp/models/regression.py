@@ -8,19 +8,8 @@ iterative reweighting; 1.345 robust standard deviations are 95 % efficient for n
 Residuals of a model on a flight are correlated in time (missing drag terms, motor lag, gusts), so the variance for
 independent errors, s^2 (X'X)^-1, is much too small.
 
-over="blocks": the scores X_k rho'(e_k) are summed over contiguous blocks longer than their correlation time, and the
-variance is the sandwich estimate over the G block sums,
-
-    V = G/(G - p) H^-1 (sum_g s_g s_g') H^-1,     H = X' diag(rho'') X
-
-with Student's t of G - p degrees of freedom (after Bester, Conley & Hansen 2011, Inference with dependent data using
-cluster covariance estimators; their G - 1 is too narrow for six blocks and two coefficients). A block has a length of
-BLOCK_TIMES integrated autocorrelation times of the score with the longest correlation.
-With FLIGHT_CLUSTERS or more flights, the flights are the blocks; the intervals then include differences between flights
-(battery, offsets, temperature). With fewer they do not; estimates per flight show the differences.
-
-over="flights": the bias of a model that is too simple differs between flights, so these are the independent units,
-by the delete-one jackknife: with c_g the coefficients without flight g,
+The bias of a model that is too simple differs between flights, so these are the independent units, by the delete-one
+jackknife: with c_g the coefficients without flight g,
 
     V = (G - 1)/G sum_g (c_g - c) (c_g - c)'
 
@@ -48,16 +37,11 @@ from quadexp.errors import DataError
 HUBER = 1.345  # robust standard deviations
 MAD_TO_STD = 1.4826  # of a normal distribution: 1 / Phi^-1(3/4)
 MAX_ITERATIONS = 200  # of reweighting
-BLOCK_TIMES = 8.0  # beyond, exp(-8) of the correlation is left between neighbouring blocks
-FLIGHT_CLUSTERS = 10  # with 10 a standard deviation over flights is known to a quarter
 LEAST_FLIGHTS = 3  # of an interval over flights: Student's t of two is 12.7 standard errors, which tells nothing
-MOST_LAGS = 1 << 17  # samples of a stretch; longer stretches are averaged over neighbours first
-LEAST_BLOCKS = 6  # more than coefficients, for any correlation time
 MOST_GROUPS = 40  # of flights that are deleted
 TOLERANCE = 1e-7  # of the fit without one
 LEAST_PIVOT = 1e-8  # of the R factor at unit columns
-# Of the columns at unit length: the largest amplification of noise in the coefficients, or of rounding alone.
-CONDITION_LIMIT = {"blocks": 1000.0, "flights": 1e8}
+CONDITION_LIMIT = 1e8  # of the columns at unit length: the largest amplification of rounding
 
 
 @dataclass(frozen=True)
@@ -91,19 +75,33 @@ def half_width(errors: npt.ArrayLike, freedom: npt.ArrayLike, confidence: float 
     return student_t.ppf(0.5 + confidence / 2, np.maximum(freedom, 1)) * np.asarray(errors)
 
 
-def regress(
-    design: np.ndarray, target: np.ndarray, names: Sequence[str], stretch: np.ndarray, flight: np.ndarray, *,
-    what: str, loss: str = "squares", intervals: bool = True, over: str = "blocks",
-) -> Regression:  # fmt: skip
-    """Fit target (n,) by design (n, p).
+@dataclass(frozen=True)
+class Solved:
+    """x: columns at unit length, (n, p). length: of the columns, (p,). coefficients: of x, (p,). limit: L, infinite for
+    squares. residual: (n,). condition: condition number of x."""
 
-    stretch: (n,), number of the uninterrupted stretch of each row, ascending. flight: (n,). what: for messages.
-    intervals: False computes the variance for independent errors only, which is faster. over: "blocks" or "flights",
-    see the module; over flights, columns may be as alike as rounding allows.
+    x: np.ndarray
+    length: np.ndarray
+    coefficients: np.ndarray
+    limit: float
+    residual: np.ndarray
+    condition: float
+
+    def with_intervals(self, names: Sequence[str], covariance: np.ndarray, freedom: np.ndarray) -> Regression:
+        """covariance: of the coefficients of x, (p, p)."""
+        covariance = covariance / np.outer(self.length, self.length)
+        coefficients = self.coefficients / self.length
+        return Regression(tuple(names), coefficients, covariance, self.residual, freedom, self.condition)
+
+
+def solved(
+    design: np.ndarray, target: np.ndarray, names: Sequence[str], *, what: str, loss: str, least: int, condition: float
+) -> Solved:
+    """Fit target (n,) by design (n, p). least: samples that are needed. condition: the largest that is allowed.
+
     Raises DataError for too few rows, and for columns whose coefficients are not determined, naming them.
     """
     n, p = design.shape
-    least = p + 2 if over == "flights" else max(p + 2, 2 * (p + LEAST_BLOCKS))
     if n < least:
         raise DataError(f"{what}: {n} samples for {p} coefficients, at least {least} are needed")
     length = np.linalg.norm(design, axis=0)
@@ -112,26 +110,26 @@ def regress(
             f"{what}: {names[int(np.argmin(length))]} is zero in all samples, so its coefficient is not determined"
         )
     x = design / length
-    condition = _condition(x, names, what, CONDITION_LIMIT[over])
+    found = _condition(x, names, what, condition)
     coefficients, limit = solve(x, target, loss)
-    residual = target - x @ coefficients
-    if over == "flights":
-        covariance = np.zeros((p, p))
-        freedom = np.zeros(p)
-        if intervals:
-            covariance, freedom = _over_flights(x, target, flight, coefficients, loss)
-    else:
-        inside = x if np.isinf(limit) else x * (np.abs(residual) <= limit)[:, None]
-        information = inside.T @ x
-        if intervals:
-            scores = x * np.clip(residual, -limit, limit)[:, None]
-            covariance, blocks = over_blocks(scores, information, stretch, flight)
-            freedom = np.array(max(blocks - p, 1))
-        else:
-            covariance = np.linalg.inv(information) * (residual @ residual / (n - p))
-            freedom = np.array(n - p)
-    covariance = covariance / np.outer(length, length)
-    return Regression(tuple(names), coefficients / length, covariance, residual, freedom, condition)
+    return Solved(x, length, coefficients, limit, target - x @ coefficients, found)
+
+
+def regress(
+    design: np.ndarray, target: np.ndarray, names: Sequence[str], flight: np.ndarray, *,
+    what: str, loss: str = "squares", intervals: bool = True,
+) -> Regression:  # fmt: skip
+    """Fit target (n,) by design (n, p), whose columns may be as alike as rounding allows, with intervals over flights.
+
+    flight: (n,). what: for messages. intervals: False computes no variance. Raises as `solved` does.
+    """
+    p = design.shape[1]
+    fit = solved(design, target, names, what=what, loss=loss, least=p + 2, condition=CONDITION_LIMIT)
+    covariance = np.zeros((p, p))
+    freedom = np.zeros(p)
+    if intervals:
+        covariance, freedom = _over_flights(fit.x, target, flight, fit.coefficients, loss)
+    return fit.with_intervals(names, covariance, freedom)
 
 
 def solve(
@@ -167,22 +165,6 @@ def _condition(x: np.ndarray, names: Sequence[str], what: str, limit: float) -> 
             f" {limit:g} is allowed): add flights with more motion, or leave one of them out"
         )
     return condition
-
-
-def over_blocks(
-    scores: np.ndarray, information: np.ndarray, stretch: np.ndarray, flight: np.ndarray, prior: npt.ArrayLike = 0.0
-) -> tuple[np.ndarray, int]:
-    """Covariance (p, p) over blocks and their number, from the scores (n, p) and H (p, p) of a fit.
-
-    prior: P_0^-1 of coefficients with a prior, (p, p), which adds to the scatter of the block sums.
-    """
-    groups = blocks_of(scores, stretch, flight)
-    count = int(groups.max()) + 1
-    p = scores.shape[1]
-    sums = np.column_stack([np.bincount(groups, column, count) for column in scores.T])
-    half = np.linalg.solve(information, sums.T)
-    inverse = np.linalg.inv(information)
-    return count / max(count - p, 1) * half @ half.T + inverse @ np.broadcast_to(prior, (p, p)) @ inverse, count
 
 
 def _over_flights(
@@ -226,43 +208,3 @@ def between_flights(logs: np.ndarray, weights: np.ndarray, confidence: float = 0
         return float("nan")
     share = weights / weights.sum()
     return float(half_width(np.std(logs, ddof=1) * np.sqrt(share @ share), len(logs) - 1, confidence))
-
-
-def autocorrelation_time(series: np.ndarray) -> float:
-    """Integrated autocorrelation time of (k,), in samples: 1 for white noise (Geyer 1992, initial positive terms).
-
-    Beyond MOST_LAGS samples neighbours are averaged first; the result is then at least their number.
-    """
-    together = -(-len(series) // MOST_LAGS)
-    if together > 1:
-        means = series[: len(series) // together * together].reshape(-1, together).mean(axis=1)
-        return together * autocorrelation_time(means)
-    k = len(series)
-    centred = series - series.mean()
-    variance = centred @ centred
-    if k < 4 or not variance > 0:
-        return 1.0
-    spectrum = np.fft.rfft(centred, 1 << (2 * k - 1).bit_length())
-    correlation = np.fft.irfft(np.abs(spectrum) ** 2)[: k // 2] / variance
-    pairs = correlation[: len(correlation) // 2 * 2].reshape(-1, 2).sum(axis=1)
-    stop = np.flatnonzero(pairs <= 0)
-    return max(1.0, 2 * float(pairs[: stop[0] if len(stop) else None].sum()) - 1)
-
-
-def blocks_of(scores: np.ndarray, stretch: np.ndarray, flight: np.ndarray) -> np.ndarray:
-    """Block number of every row, (n,), from 0; scores (n, p)."""
-    flights, of_flight = np.unique(flight, return_inverse=True)
-    if len(flights) >= FLIGHT_CLUSTERS:
-        return of_flight
-    starts = np.flatnonzero(np.r_[True, stretch[1:] != stretch[:-1]])
-    sizes = np.diff(np.r_[starts, len(stretch)])
-    longest = np.argsort(sizes)[-FLIGHT_CLUSTERS:]
-    times = [
-        [autocorrelation_time(scores[starts[i] : starts[i] + sizes[i], j]) for i in longest]
-        for j in range(scores.shape[1])
-    ]
-    time = float(np.max(np.average(times, axis=1, weights=sizes[longest])))
-    block = int(min(np.ceil(BLOCK_TIMES * time), max(len(stretch) // (LEAST_BLOCKS + scores.shape[1]), 1)))
-    counts = np.maximum(1, np.round(sizes / block).astype(int))
-    first = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    return np.concatenate([a + np.arange(size) * c // size for a, size, c in zip(first, sizes, counts, strict=True)])

@@ -6,8 +6,8 @@ import numpy as np
 
 from quadexp.models.common_scale import CommonScale
 from quadexp.models.dataset import ResidualDataset
-from quadexp.models.regression import autocorrelation_time
 from quadexp.models.residual import THRUST, VELOCITY
+from quadexp.plugins.aerodynamics.blocks import autocorrelation_time
 
 ROUNDS = 60  # of expectation and maximisation
 

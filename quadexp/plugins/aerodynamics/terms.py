@@ -74,12 +74,13 @@ from quadexp.errors import DataError, UsageError
 from quadexp.models.adapting import TYPICAL_SPEED, Adapting, Block
 from quadexp.models.base import Positive, Record, Rotors, Three
 from quadexp.models.dataset import ResidualDataset, evaluate_rows
-from quadexp.models.regression import Regression, half_width, regress
+from quadexp.models.regression import Regression, half_width
 from quadexp.models.residual import AXES, VELOCITY, Residual, feature_names, symbolic_residual
 from quadexp.physics.expression import Expression, symbols
 from quadexp.physics.state import root_mean_square
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.aerodynamics.blade_element import TINY_SPEED
+from quadexp.plugins.aerodynamics.blocks import regress
 from quadexp.plugins.aerodynamics.induced_velocity import Balance, safe_newton
 
 Axes = tuple[tuple[str, ...], ...]  # names of the terms, per axis

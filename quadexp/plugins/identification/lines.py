@@ -9,8 +9,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from quadexp.models.regression import FLIGHT_CLUSTERS, LEAST_FLIGHTS
+from quadexp.models.regression import LEAST_FLIGHTS
 from quadexp.names import distinct
+from quadexp.plugins.aerodynamics.blocks import FLIGHT_CLUSTERS
 from quadexp.plugins.aerodynamics.drag_choice import drag_line
 from quadexp.plugins.identification.vehicle_numbers import number_lines
 from quadexp.report.table import Table

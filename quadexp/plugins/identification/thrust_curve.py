@@ -26,8 +26,9 @@ import numpy as np
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.models.base import Record, Rotors, Shape
-from quadexp.models.regression import Regression, half_width, regress
+from quadexp.models.regression import Regression, half_width
 from quadexp.physics.state import root_mean_square
+from quadexp.plugins.aerodynamics.blocks import regress
 from quadexp.plugins.logs.samples import SIGNALS, Samples, late_signal, rotor_columns
 
 # Powers of the signal in the curve, and the signals with an intercept by default.

@@ -31,9 +31,10 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
-from quadexp.models.regression import half_width, regress
+from quadexp.models.regression import half_width
 from quadexp.parts.options import Folders
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.blocks import regress
 from quadexp.plugins.identification.recorded import read_recorded
 from quadexp.plugins.identification.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples
 from quadexp.plugins.identification.torque_gain import TorqueGain, gains, own_timing

@@ -23,7 +23,8 @@ import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.models.base import Record, Three
-from quadexp.models.regression import LEAST_FLIGHTS, half_width, regress
+from quadexp.models.regression import LEAST_FLIGHTS, half_width
+from quadexp.plugins.aerodynamics.blocks import regress
 from quadexp.plugins.identification.turning import AXES, OTHER, Turning
 
 DEAD_TIMES = (0.0, 0.01, 0.02, 0.03, 0.045, 0.06)  # s, tried for the turning

@@ -47,7 +47,7 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
-from quadexp.models.regression import LEAST_BLOCKS, half_width, over_blocks
+from quadexp.models.regression import half_width
 from quadexp.models.residual import AXES, Residual, feature_names, symbolic_residual
 from quadexp.names import named
 from quadexp.physics.expression import Expression, symbols
@@ -62,6 +62,7 @@ from quadexp.plugins.aerodynamics.blade_element import (
     rotor_flow,
     static_rotor_speed,
 )
+from quadexp.plugins.aerodynamics.blocks import LEAST_BLOCKS, over_blocks
 from quadexp.plugins.aerodynamics.induced_velocity import balance, newton, safe_newton, starting_point
 from quadexp.plugins.logs.samples import READINGS, check_columns
 from quadexp.plugins.papers.lei_li.rls import ITERATIONS as SAFE_ITERATIONS

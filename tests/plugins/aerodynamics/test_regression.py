@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quadexp.errors import DataError
-from quadexp.models.regression import FLIGHT_CLUSTERS, MOST_LAGS, autocorrelation_time, regress
+from quadexp.plugins.aerodynamics.blocks import FLIGHT_CLUSTERS, MOST_LAGS, autocorrelation_time, regress
 from tests.models.logged_flights import coloured
 
 TRUTH = np.array([0.4, 0.05])
@@ -83,7 +83,7 @@ def test_columns_that_cannot_be_told_apart_are_named(rng):
 
 
 def test_blocks_never_cross_a_gap(rng):
-    from quadexp.models.regression import blocks_of
+    from quadexp.plugins.aerodynamics.blocks import blocks_of
 
     stretch = np.repeat(np.arange(5), [100, 7, 400, 1, 92])
     groups = blocks_of(rng.normal(size=(600, 2)), stretch, np.zeros(600))
