@@ -17,6 +17,7 @@ What a place must be:
     models     a module with the records of a kind of models (quadexp/models/base.py)
     api        a name of the Python API (quadexp/__init__.py)
     tables     the Frame of a kind of files (quadexp/frames.py)
+    columns    kind of files -> name -> Column (quadexp/log/schema.py), of what a plug-in logs
     services   a function that the core asks for, where it is there (see who asks)
     papers     a module with what quadexp/report/paper.py asks for
     readers    a module, or another object, with what quadexp/plugins/logs/importers/readers asks for
@@ -60,6 +61,7 @@ BRINGS: dict[str, dict[str, str]] = {
     "models": {"coefficients": "quadexp.models.coefficients", "linear_drag": "quadexp.models.linear_drag"},
     "api": {},
     "tables": {},
+    "columns": {},
     "services": {},
     "papers": {},
 }

@@ -1,18 +1,21 @@
 """What a flight is: named columns over time, each with one unit and one frame, and the record of where it came from.
 
-The unit and frame of every column this program writes are stated here once and travel with the file (Arrow field
-metadata), so that a reader in another language needs nothing else.
+The unit and frame of every column this program writes are stated once, here or by the plug-in that writes it (seam
+`columns`: by kind of table, by name), and travel with the file (Arrow field metadata), so that a reader in another
+language needs nothing else.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.physics.state import STATE_COLUMNS, input_columns
+from quadexp.plugin import brought, shipped_places
 
 
 class Column(NamedTuple):
@@ -28,43 +31,34 @@ SOME_ROTORS = [[0.17, -0.17, 0.0], [-0.17, -0.17, 0.0], [-0.17, 0.17, 0.0], [0.1
 _AXES = "xyz"
 
 
-def _each(name: str, unit: str, frame: str, description: str, axes: str = _AXES) -> Columns:
+def each(name: str, unit: str, frame: str, description: str, axes: str = _AXES) -> Columns:
     """A column for each axis of a vector."""
     return {f"{name}_{i}": Column(unit, frame, description) for i in axes}
 
 
-def _besides(prefix: str, columns: Columns, description: str = "{}") -> Columns:
+def besides(prefix: str, columns: Columns, description: str = "{}") -> Columns:
     """The same columns in another role, which the description says."""
     return {f"{prefix}{k}": c._replace(description=description.format(c.description)) for k, c in columns.items()}
 
 
 _STATE = {
-    **_each("p", "m", "world", "position"),
-    **_each("q", "1", "body to world", "attitude quaternion, Hamilton, w first", "wxyz"),
-    **_each("v", "m/s", "world", "velocity"),
-    **_each("w", "rad/s", "body", "angular velocity"),
+    **each("p", "m", "world", "position"),
+    **each("q", "1", "body to world", "attitude quaternion, Hamilton, w first", "wxyz"),
+    **each("v", "m/s", "world", "velocity"),
+    **each("w", "rad/s", "body", "angular velocity"),
 }
-_BIAS = {
-    **_each("bias_a", "m/s^2", "body", "bias of the accelerometer"),
-    **_each("bias_g", "rad/s", "body", "bias of the gyroscope"),
-}
-_VARIANCE = {
-    **_each("p", "m^2", "world", "position"),
-    **_each("v", "m^2/s^2", "world", "velocity"),
-    **_each("theta", "rad^2", "body", "attitude"),
-    **_each("bias_a", "m^2/s^4", "body", "the accelerometer's bias"),
-    **_each("bias_g", "rad^2/s^2", "body", "the gyroscope's bias"),
+BIAS = {
+    **each("bias_a", "m/s^2", "body", "bias of the accelerometer"),
+    **each("bias_g", "rad/s", "body", "bias of the gyroscope"),
 }
 
 FLIGHT_COLUMNS: Columns = {
     "t": Column("s", "", "time since the start of the flight"),
     **_STATE,
-    **_besides("ref_", _STATE, "reference {}"),
-    **_besides("est_", _STATE, "{}, as the controller was given it"),
-    **_each("acc", "m/s^2", "body", "specific force an accelerometer reads"),
-    **_BIAS,
-    **_besides("est_", _BIAS, "{}, as the filter has it"),
-    **_besides("est_var_", _VARIANCE, "variance of the error of {}, as the filter has it"),
+    **besides("ref_", _STATE, "reference {}"),
+    **besides("est_", _STATE, "{}, as the controller was given it"),
+    **each("acc", "m/s^2", "body", "specific force an accelerometer reads"),
+    **BIAS,
     "solve_time": Column("s", "", "wall time of the control step; the only column that two runs may differ in"),
     "status": Column("1", "", "0 riccati, 1 active_set, 3 failed"),
     "sweeps": Column("1", "", "exchanges of the active set in the control step"),
@@ -72,8 +66,7 @@ FLIGHT_COLUMNS: Columns = {
     "unconverged": Column("1", "", "1: the first step's iterations ended away from a stationary point"),
     "kkt": Column("1", "", "KKT residual of the control step"),
     "segment": Column("1", "", "number of the uninterrupted stretch the sample belongs to"),
-    **_each("wind", "m/s", "world", "velocity of the air"),
-    **_each("load", "m", "world", "position of the payload on its cable"),
+    **each("wind", "m/s", "world", "velocity of the air"),
     "thrust_acceleration": Column("m/s^2", "body", "collective thrust over mass, as the log has it"),
     "battery_voltage": Column("V", "", "voltage of the battery"),
     "est_battery_voltage": Column("V", "", "voltage of the battery, as a sensor reads it"),
@@ -86,11 +79,11 @@ RESIDUAL_COLUMNS: Columns = {
     "flight_name": Column("", "", "name of the flight the row comes from"),
     "t": Column("s", "", "time since the start of the flight"),
     "dt": Column("s", "", "duration of the transition"),
-    **_each("v", "m/s", "body", "velocity"),
-    **_each("w", "rad/s", "body", "angular velocity"),
+    **each("v", "m/s", "body", "velocity"),
+    **each("w", "rad/s", "body", "angular velocity"),
     "thrust": Column("N", "body", "collective thrust commanded"),
-    **_each("a", "m/s^2", "body", "acceleration the rigid body does not explain"),
-    **_each("tau", "N m", "body", "torque the rigid body does not explain"),
+    **each("a", "m/s^2", "body", "acceleration the rigid body does not explain"),
+    **each("tau", "N m", "body", "torque the rigid body does not explain"),
 }
 
 RESULT_COLUMNS: Columns = {
@@ -162,52 +155,11 @@ for _name in ("success", "difference", "reduction", "common"):
     for _end in ("low", "high"):
         STATISTIC_COLUMNS[f"{_name}_{_end}"] = STATISTIC_COLUMNS[_name]._replace(description=f"{_end} limit of {_name}")
 
-_COEFFICIENTS = {
-    "C_d0": Column("1", "", "profile drag coefficient of the blades"),
-    "C_la": Column("1/rad", "", "lift slope of the blades"),
-    **{f"C_D{i}": Column("1", "body", "drag coefficient of the airframe") for i in _AXES},
-}
-# What a controller or plant of Lei & Li's system logs besides.
-FLIGHT_COLUMNS |= {
-    **_besides("", _COEFFICIENTS, "{}, in use"),
-    "clips": Column("1", "", "entries of the estimate clipped so far"),
-    "reopened": Column("1", "", "times the estimator found a change so far"),
-    "phi_d": Column("rad", "FRD in NED", "desired roll angle"),
-    "theta_d": Column("rad", "FRD in NED", "desired pitch angle"),
-    "error_eta": Column("rad", "", "norm of the Euler angles' distance to the desired ones"),
-    "cone": Column("1", "", "1 where the desired thrust was moved into the cone"),
-    "floored": Column("1", "", "rotors commanded at the least speed"),
-    "limited": Column("1", "", "rotors commanded at the largest thrust"),
-}
-# What a controller logs whose model adapts in flight.
-FLIGHT_COLUMNS |= _each(
-    "innovation", "m/s^2", "body", "residual acceleration less its prediction by the weights before it"
-)
-ESTIMATE_COLUMNS: Columns = {
-    "t": Column("s", "", "time since the start of the flight"),
-    **_besides("", _COEFFICIENTS, "{}, in use"),
-    **_besides("raw_", _COEFFICIENTS),
-    **_besides("std_", _COEFFICIENTS, "the recursion's own deviation of the {}; no interval"),
-    **_each("error", "m/s^2", "body", "specific force less its prediction"),
-}
-
-TUNING_COLUMNS: Columns = {
-    "trial": Column("1", "", "number of the trial; 0 is the option as it is"),
-    "flights": Column("1", "", "flights up to and with this trial"),
-    "value": Column("1", "", "objective, the smaller the better (quadexp/plugins/tune/objective.py)"),
-    "best": Column("1", "", "smallest objective so far"),
-    "error": Column("m", "", "geometric mean of the flights' errors, of those that completed"),
-    "lost": Column("1", "", "flights that were not completed"),
-    "margin": Column("s", "", "smallest delay margin found"),
-}
-
 _BY_KIND = {
     "flight": FLIGHT_COLUMNS,
     "residuals": RESIDUAL_COLUMNS,
     "results": RESULT_COLUMNS,
-    "estimates": ESTIMATE_COLUMNS,
     "statistics": STATISTIC_COLUMNS,
-    "tuning": TUNING_COLUMNS,
     "leaderboard": RESULT_COLUMNS,
 }
 _OF_ROTORS = {  # of columns with the number of a rotor behind
@@ -229,7 +181,18 @@ def describe(name: str, kind: str = "flight") -> Column:
     if name.startswith("taken_"):
         return Column("s", "", f"when the reading of the {name.removeprefix('taken_')} was taken that is given")
     quantity, _, rotor = name.rpartition("_")
-    return _OF_ROTORS.get(quantity if rotor.isdecimal() else "", Column("", "", ""))
+    if rotor.isdecimal() and quantity in _OF_ROTORS:
+        return _OF_ROTORS[quantity]
+    return _of_plugins(kind).get(name, Column("", "", ""))
+
+
+@cache
+def _of_plugins(kind: str) -> Columns:
+    """The columns that plug-ins bring to a kind of tables."""
+    columns: Columns = {}
+    for place in shipped_places("columns"):
+        columns |= brought("columns", place).get(kind, {})
+    return columns
 
 
 def n_inputs(columns: Any) -> int:

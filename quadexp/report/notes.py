@@ -9,23 +9,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from operator import itemgetter
-from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from quadexp.log.outcome import RULE, UNFLOWN
+from quadexp.plugin import brought
 from quadexp.report.checked import programs_text
-from quadexp.report.pairing import (
-    Contestant,
-    condition_of,
-    contestant_labels,
-    contestant_of,
-    grouped,
-    is_bound,
-    is_invalid,
-    setting_pairs,
-)
+from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, grouped, is_bound, is_invalid
 from quadexp.report.text import count, speed_text
 
 if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
@@ -36,7 +27,6 @@ if TYPE_CHECKING:  # `quadexp show` and `simulate` need no statistics
 LARGE_HEADING_ERROR = math.radians(10.0)  # rad, RMS over a flight
 REPORTED_SHARE = 0.01  # least share of samples outside the data that is reported for a flight
 MOST_CONTESTANTS = 10  # that a kind of note has a line on
-RESTLESS = 2.0  # times as much as the baseline, from which on it is said
 MOST_CAUSES = 3  # of invalid combinations that are named
 UNITS = {"thrust": "N", "speed": "m/s", "v": "m/s", "w": "rad/s", "u": "N"}  # of a feature, by the start of its name
 
@@ -79,7 +69,8 @@ def notes(rows: Sequence[Row]) -> list[str]:
     lines = []
     for note in OF_A_CONTESTANT:
         lines += _first([f"{labels[who]}: {text}" for who, flown in flights.items() if (text := note(flown))])
-    lines += _first(restless(flights, labels))
+    if (restless := brought("services", "restless")) is not None:
+        lines += _first(restless(flights, labels))
     programs = len({(row.get("program"), row["sources"]) if row.get("sources") else None for row in rows})
     mixed = [f"flights of {programs} programs stand side by side: {programs_text(rows)}"] if programs > 1 else []
     return invalid + lines + mixed
@@ -95,7 +86,7 @@ def invalid_text(rows: Sequence[Row]) -> str:
     return f"{causes.total()} of {len(rows)} combinations are invalid and were not flown: {'; '.join(shown)}"
 
 
-def _known(rows: Sequence[Row], name: str) -> Iterator[tuple[float, Row]]:
+def known_values(rows: Sequence[Row], name: str) -> Iterator[tuple[float, Row]]:
     """The values of a column with their rows, without those that are missing."""
     for row in rows:
         if row.get(name) not in (None, "") and not math.isnan(value := float(row[name])):
@@ -104,7 +95,7 @@ def _known(rows: Sequence[Row], name: str) -> Iterator[tuple[float, Row]]:
 
 def _outside_data(rows: Sequence[Row]) -> str:
     """Samples outside the data that a learned model was fitted to, and flights for which that is not known."""
-    shares = list(_known(rows, "outside_data"))
+    shares = list(known_values(rows, "outside_data"))
     known = {id(row) for _, row in shares}
     unknown = sum(bool(row.get("model")) and row["outcome"] not in UNFLOWN and id(row) not in known for row in rows)
     parts = [f"unknown of {unknown} flights whether inside the data of its model (older checkpoint)"] if unknown else []
@@ -122,7 +113,7 @@ def _outside_data(rows: Sequence[Row]) -> str:
 
 def _reference_residual(rows: Sequence[Row]) -> str:
     """References that contain the residual only in part, or not at all."""
-    known = [value for value, _ in _known(rows, "reference_residual")]
+    known = [value for value, _ in known_values(rows, "reference_residual")]
     partly = sum(0 < value < 1 for value in known)
     without = sum(value <= 0 for value in known)
     parts = [f"{partly} of {len(known)} references contain the residual only in part"] if partly else []
@@ -139,41 +130,13 @@ def _unknown_world(rows: Sequence[Row]) -> str:
 def _heading_error(rows: Sequence[Row]) -> str:
     """Large heading errors of completed flights. The tilt is what path and air demand; where it is not, the position
     shows it."""
-    errors = [(error, row) for error, row in _known(rows, "heading_rmse") if row["outcome"] == "ok"]
+    errors = [(error, row) for error, row in known_values(rows, "heading_rmse") if row["outcome"] == "ok"]
     worst, row = max(errors, key=itemgetter(0), default=(0.0, {}))
     large = sum(error > LARGE_HEADING_ERROR for error, _ in errors)
     if not large:
         return ""
     above = f"heading error above {math.degrees(LARGE_HEADING_ERROR):.0f} degrees in {large}"
     return f"{above} of {count(len(errors), 'flight')} (most: {math.degrees(worst):.3g} degrees, {_place(row)})"
-
-
-def restless(flights: Mapping[Contestant, Sequence[Row]], labels: Mapping[Contestant, str]) -> list[str]:
-    """Contestants with remedies=auto whose commands change, or that use the battery, more than RESTLESS times as much
-    as without, in the median of the flights that both flew."""
-    lines = []
-    for who, without in _with_auto(flights):
-        for name, what in (("command_change", "commands change"), ("charge_used", "the battery is used")):
-            before = {(condition_of(row), row["seed"]): value for value, row in _known(flights[without], name)}
-            pairs = [(value, before.get((condition_of(row), row["seed"]))) for value, row in _known(flights[who], name)]
-            ratios = [value / other for value, other in pairs if other]
-            if ratios and (ratio := median(ratios)) > RESTLESS:
-                pairs_text = f"in the median of {count(len(ratios), 'pair')}"
-                lines.append(f"{labels[who]}: {what} {ratio:.2g} times as much as of {labels[without]}, {pairs_text}")
-    return lines
-
-
-def _with_auto(contestants: Iterable[Contestant]) -> Iterator[tuple[Contestant, Contestant]]:
-    """Each with remedies=auto, and the one that differs from it in nothing but that."""
-    others = {}
-    for who in contestants:
-        settings = dict(setting_pairs(who.settings))
-        remedies = settings.pop("remedies", "none")
-        others[who.controller, who.model, remedies, frozenset(settings.items())] = who
-    for (controller, model, remedies, beside), who in others.items():
-        without = others.get((controller, model, "none", beside))
-        if remedies == "auto" and without is not None:
-            yield who, without
 
 
 OF_A_CONTESTANT: tuple[Callable[[Sequence[Row]], str], ...] = (

@@ -7,6 +7,7 @@ BRINGS = {
         "rls_mpc": "quadexp.plugins.papers.lei_li.rls_mpc",
         "paths": "quadexp.plugins.papers.lei_li.paths",
     },
+    "columns": {"lei_li": "quadexp.plugins.papers.lei_li.columns:COLUMNS"},
     "papers": {
         "adaptation": "quadexp.plugins.papers.adaptation",
         "families": "quadexp.plugins.papers.families",

@@ -2,5 +2,6 @@
 
 BRINGS = {
     "parts": {"remedies": "quadexp.plugins.remedies"},
+    "columns": {"remedies": "quadexp.plugins.remedies.columns:COLUMNS"},
     "services": {"believed_world": "quadexp.plugins.remedies.believed_world:BelievedWorld"},
 }

@@ -3,5 +3,6 @@
 BRINGS = {
     "commands": {"tune": "quadexp.plugins.tune.commands:tune"},
     "api": {"tune": "quadexp.plugins.tune.api:tune", "Tuning": "quadexp.plugins.tune.api:Tuning"},
+    "columns": {"tune": "quadexp.plugins.tune.columns:COLUMNS"},
     "tables": {"tuning": "quadexp.plugins.tune.api:Tuning"},
 }

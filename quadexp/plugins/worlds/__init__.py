@@ -1,3 +1,6 @@
 """More of the world: navigation by a Kalman filter, Dryden turbulence, a battery, a slung load."""
 
-BRINGS = {"parts": {"worlds": "quadexp.plugins.worlds"}}
+BRINGS = {
+    "parts": {"worlds": "quadexp.plugins.worlds"},
+    "columns": {"worlds": "quadexp.plugins.worlds.columns:COLUMNS"},
+}
