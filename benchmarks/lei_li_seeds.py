@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.machine import machine
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
-from quadexp.physics.rotor import THETA
+from quadexp.plugins.aerodynamics.coefficients import THETA
 from quadexp.report.metrics import position_error
 
 CASES = {"Example 1": "rectangle", "Example 2": "lei_li_circle"}

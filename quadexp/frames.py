@@ -218,7 +218,8 @@ class Results(Frame):
         from quadexp.report.frame import SweepFrame
 
         frame = SweepFrame(self.rows(), os.fspath(self._folder or "."), self.record)
-        lines, panels = ([keys] if isinstance(keys, str) else keys for keys in (by, facet))
+        lines = [by] if isinstance(by, str) else by
+        panels = [facet] if isinstance(facet, str) else facet
         options: dict[str, Any] = {"x": x, "by": lines, "facet": panels, "kind": kind}
         view = service("view", "plot")(frame, y=metric or self._metric(None), **options)
         return service("figure_of", "plot")(view)

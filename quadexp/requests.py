@@ -294,26 +294,3 @@ def fit(
         config, part = composer.fitted(model, overrides)
     path = check_output(out, force=force, folder=True)
     return dict(fit_checkpoint(part, config, dataset, path, force=force, **options))
-
-
-# --------------------------------------------------------------------------------------------------------------- look
-def margins(words: Overrides, conf: Folders = None) -> list[dict[str, Any]]:
-    """What a loop tolerates at points along its path, see the service `path_margins`. words: overrides, and
-    in front of them the file of a flight, whose recorded settings they change."""
-    from quadexp.experiment.identity import find_model
-    from quadexp.parts.compose import session
-
-    with session(conf) as composer:
-        of_flight = bool(words) and ("=" not in words[0] or Path(words[0]).is_file())
-        composer.only("show --margins", words[of_flight:])
-        if of_flight:
-            from quadexp.log.store import read_metadata
-            from quadexp.parts.recorded import recorded_words
-
-            about = read_metadata(words[0], "flight")
-            if "config" not in about:
-                raise UsageError(f"{words[0]}: a flight without a record of its settings (a recorded one?): give these")
-            words = recorded_words(composer, about["config"], words[1:], about.get("classes") or {})
-        config = composer.compose(words)
-    rows: list[dict[str, Any]] = service("path_margins", "show --margins")(config, find_model(config))
-    return rows

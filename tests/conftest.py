@@ -18,8 +18,9 @@ os.environ["QUADEXP_CACHE"] = os.path.join(tempfile.gettempdir(), f"quadexp-test
 
 from quadexp.compile.compiler import compiler
 from quadexp.errors import QuadexpError
-from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
+from quadexp.physics.rotor import RotorGeometry
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.coefficients import BladeCoefficients
 from tests import composing  # noqa: F401 - before any test binds what it replaces
 from tests.deleted import pytest_ignore_collect, pytest_make_collect_report, pytest_runtest_makereport  # noqa: F401
 

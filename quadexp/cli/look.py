@@ -192,10 +192,9 @@ def _beliefs(path: Path, out: Path | None, force: bool) -> Answer:
 
 
 def _margins(words: Sequence[str], conf: Sequence[Path]) -> Answer:
-    from quadexp import requests
     from quadexp.report.table import Table
 
-    rows = requests.margins(words, conf)
+    rows = service("margins", "show --margins")(words, conf)
     units = {"t": (1.0, 2), "speed": (1.0, 2), "delay": (1e3, 0), "lag": (1e3, 0), "growth": (1.0, 2)}
     texts = [[f"{factor * row[name]:.{digits}f}" for name, (factor, digits) in units.items()] for row in rows]
     heading = ["t (s)", "speed (m/s)", "more delay (ms)", "more motor lag (ms)", "growth (1/s)"]

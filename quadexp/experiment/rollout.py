@@ -86,7 +86,8 @@ class SampledReference:
         if getattr(self._trajectory, "clipped", False):
             self.reference = clipped(self.reference, self._vehicle)
         if self._follow_heading:
-            attitude, rate = (self.reference.state[self._now, part] for part in (ATTITUDE, RATE))
+            attitude = self.reference.state[self._now, ATTITUDE]
+            rate = self.reference.state[self._now, RATE]
             self._yaw[:, 0], self._drift = heading(attitude), heading_rate(attitude, rate)
         self.reference.state.flags.writeable = self.reference.input.flags.writeable = False  # horizons are views
 

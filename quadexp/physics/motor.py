@@ -55,7 +55,8 @@ def lagging_rk4_step(
     """
     body = x[:N_STATE]
     thrust = x[N_STATE:]
-    middle, end = (lagging_thrust(thrust, command, t, time_constant) for t in (dt / 2, dt))
+    middle = lagging_thrust(thrust, command, dt / 2, time_constant)
+    end = lagging_thrust(thrust, command, dt, time_constant)
     if added is not None:
         thrust = thrust + added[:, 0]
         middle = middle + added[:, 1]

@@ -82,7 +82,11 @@ class ProfiledPath(TrajectoryPart):
         start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
         section = np.searchsorted(start, t, side="right") - 1
         tau = t - start[section]
-        c0, c1, k, rate, angle = (column[section] for column in (c0, c1, k, rate, angle))
+        c0 = c0[section]
+        c1 = c1[section]
+        k = k[section]
+        rate = rate[section]
+        angle = angle[section]
         sine = np.sin(k * tau)
         cosine = np.cos(k * tau)
         result = np.empty((len(t), N_DERIVATIVES))

@@ -112,7 +112,8 @@ class Tests:
         seeds = max((len(by_seed) for flown in conditions for by_seed in flown.values()), default=0)
         if len(self._flew) < 2:
             return []
-        whole, line = (least_seeds(self._times * n, self.confidence) for n in (1, len(conditions)))
+        whole = least_seeds(self._times, self.confidence)
+        line = least_seeds(self._times * len(conditions), self.confidence)
         if seeds < whole or not self._corrected:
             single = f", {line} in a single line" if seeds < whole < line else ""
             return [too_few(seeds, whole, self.confidence, ", so that nothing is bold, * or called best") + single]
@@ -215,7 +216,8 @@ class Tests:
 def place_texts(conditions: Collection[Condition]) -> dict[Condition, str]:
     """Such as "circle 8 m/s wind.velocity=4", with plant and vehicle where there are several."""
     worlds = {condition.world for condition in conditions}
-    plants, vehicles = ({world[place] for world in worlds} for place in (0, 1))
+    plants = {world[0] for world in worlds}
+    vehicles = {world[1] for world in worlds}
     texts = {}
     for at in conditions:
         parts = [at.trajectory, speed_text(at.speed), at.setting]

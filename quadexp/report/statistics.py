@@ -314,7 +314,8 @@ def _between(difference: Difference) -> str:
     """The least and the largest change in a single condition, and where; "" where they are the same."""
     places = place_texts(difference.by_condition)
     ends = sorted(difference.by_condition, key=lambda at: -difference.by_condition[at])
-    low, high = (change_text(_reduction(difference.by_condition[at])) for at in (ends[0], ends[-1]))
+    low = change_text(_reduction(difference.by_condition[ends[0]]))
+    high = change_text(_reduction(difference.by_condition[ends[-1]]))
     return f"{low} in {places[ends[0]]} to {high} in {places[ends[-1]]}" if low != high else ""
 
 

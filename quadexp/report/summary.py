@@ -68,7 +68,9 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
     means = {"mean": row["mean_error"], "RMSE": row["rmse"], "max": row["max_error"]}
     errors = ", ".join(f"{kind} {1e3 * error:.4g} mm" for kind, error in means.items())
     errors += f", attitude {np.degrees(row['attitude_rmse']):.3g} deg"
-    median, p99, largest = (1e6 * row[f"solve_time_{name}"] for name in ("median", "p99", "max"))
+    median = 1e6 * row["solve_time_median"]
+    p99 = 1e6 * row["solve_time_p99"]
+    largest = 1e6 * row["solve_time_max"]
     lines = [
         f"{about} on {row['plant']}, seed {row['seed']}",
         f"outcome     {row['outcome']}{cause}",
@@ -113,7 +115,8 @@ def margin_line(margins: Mapping[str, Any] | None) -> str:
         return f"what it tolerates is not known: {why}"
     if not margins["delay"]:
         return "is not stable at hover"
-    delay, lag = (_milliseconds(margins[name]) for name in ("delay", "lag"))
+    delay = _milliseconds(margins["delay"])
+    lag = _milliseconds(margins["lag"])
     return f"tolerates {delay} more of delay, {lag} more of motor lag (at hover)"
 
 
@@ -187,7 +190,9 @@ def _recorded_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray]
     findings = record.get("findings", [])
     t = columns["t"]
     summary |= {"source": record.get("source"), "findings": findings}
-    file, form, rate = (source.get(key) for key in ("file", "format", "rate"))
+    file = source.get("file")
+    form = source.get("format")
+    rate = source.get("rate")
     hertz = f" at {rate:.4g} Hz" if isinstance(rate, (int, float)) else ""
     lines = [f"recorded    {file} ({form}), {float(t[-1] - t[0]) if len(t) else 0.0:.1f} s{hertz}"]
     if all(name in columns for name in ("v_x", "v_y", "v_z")) and len(t):

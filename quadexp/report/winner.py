@@ -73,7 +73,8 @@ def _has_least_mean(
     """Whether the mean itself, which a table shows, is the least too, on the flights of each pair."""
     for other, difference in others.items():
         seeds = frozenset(difference.seeds.tolist())
-        errors, its = (groups.values(condition, who, place, seeds) for who in (least, other))
+        errors = groups.values(condition, least, place, seeds)
+        its = groups.values(condition, other, place, seeds)
         if len(errors) and not np.mean(errors) <= np.mean(its):
             return False
     return True

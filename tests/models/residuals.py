@@ -7,9 +7,10 @@ import numpy as np
 
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import Residual, no_residual, sum_residual
-from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
+from quadexp.physics.rotor import RotorGeometry
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.aerodynamics.blade_element import static_coefficients
+from quadexp.plugins.aerodynamics.coefficients import BladeCoefficients
 from quadexp.plugins.gaussian_process.gaussian_process import OutputPosterior, gaussian_process_residual, mean_only
 from quadexp.plugins.neural.neural import Network, neural_residual
 from quadexp.plugins.papers.lei_li.blade_element import blade_element_residual

@@ -5,7 +5,7 @@ import pytest
 from quadexp.errors import UsageError
 from quadexp.experiment.identity import flight_record
 from quadexp.parts.compose import compose, session
-from quadexp.parts.recorded import recorded_words
+from quadexp.plugins.margins.recorded import recorded_words
 
 SAME = (
     ("horizon=robust timing.dead_time=0.02", "horizon=robust controller.dead_time=0.02"),

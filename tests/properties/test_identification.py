@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadexp.physics.rotor import BladeCoefficients
 from quadexp.plugins.aerodynamics.blade_element import static_coefficients
+from quadexp.plugins.aerodynamics.coefficients import BladeCoefficients
 from quadexp.plugins.gaussian_process.gaussian_process import gaussian_process_residual, mean_only
 from quadexp.plugins.papers.lei_li.rls import AXES, BladeElementRLS, RLSSettings
 from tests.models.batch import batch_least_squares

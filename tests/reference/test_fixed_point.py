@@ -9,8 +9,8 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.models.residual import symbolic_residual
 from quadexp.parts.compose import compose
 from quadexp.physics.rigid_body import corrected_function
-from quadexp.physics.rotor import BladeCoefficients
 from quadexp.physics.state import RATE, VELOCITY
+from quadexp.plugins.aerodynamics.coefficients import BladeCoefficients
 from quadexp.plugins.papers.lei_li.blade_element import blade_element_residual
 from quadexp.plugins.papers.lei_li.paths import Rectangle
 from quadexp.reference.air_step import AirModel

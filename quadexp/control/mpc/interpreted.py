@@ -31,9 +31,9 @@ class InterpretedStages:
     def __init__(self, vehicle: Vehicle, residual: Residual, form: Form) -> None:
         self.form = form
         self.linearise = node.linearise_function(vehicle, residual, form, scalar=False)
-        self.start, self.backward, self.forward = (
-            make(form) for make in (node.start_function, node.backward_function, node.forward_function)
-        )
+        self.start = node.start_function(form)
+        self.backward = node.backward_function(form)
+        self.forward = node.forward_function(form)
 
     def on(self, arguments: Arrays, results: Arrays) -> list[Callable[[], None]]:
         """See step.Stages."""

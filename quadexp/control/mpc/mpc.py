@@ -83,12 +83,15 @@ class ModelPredictiveController:
         self.set_thrust_scale(1.0)
         if settings.motor_lag:
             arguments["tau"][...] = settings.motor_lag
-        self._x0, self._X_ref, self._U_ref = (arguments[name] for name in ("x0", "X_ref", "U_ref"))
+        self._x0 = arguments["x0"]
+        self._X_ref = arguments["X_ref"]
+        self._U_ref = arguments["U_ref"]
         self._X_ref_flat, self._U_ref_flat = self._X_ref.ravel(), self._U_ref.ravel()
         self._X = arguments["X"]
         self._U = arguments["U"]
         self._X_ref_body = self._X_ref[:, :N_STATE]
-        self._X_new, self._U_new = (self.step.results[name] for name in ("X_new", "U_new"))
+        self._X_new = self.step.results["X_new"]
+        self._U_new = self.step.results["U_new"]
         self._checks, self._thrust = self.step.results["checks"], self._U[0]
         self._attitude, self._attitude_ref = self._x0[ATTITUDE], self._X_ref[0, ATTITUDE]
         self._attitude_predicted = self._X[0, ATTITUDE]

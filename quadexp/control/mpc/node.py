@@ -135,7 +135,11 @@ def backward_function(form: Form) -> ca.Function:
     affine = form.states - N_PLACE + form.inputs
     shapes = {"P_next": (m, m), "p_next": m, "multiplier_next": m, "kkt_next": 1, "rows": (form.line, m), "q": m}
     a = named_symbols(ca.MX, shapes | {"r": n, "Q": m, "R": n, "U_lin": n, "u_min": n, "u_max": n})
-    P, p, multiplier, q, r = (a[name] for name in ("P_next", "p_next", "multiplier_next", "q", "r"))
+    P = a["P_next"]
+    p = a["p_next"]
+    multiplier = a["multiplier_next"]
+    q = a["q"]
+    r = a["r"]
     M = a["rows"][: affine + 1, :]
     place = slice(0, N_PLACE)
     motion = slice(0, m - N_PLACE)

@@ -28,11 +28,12 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
-from quadexp.physics.rotor import C_D0, C_DX, C_DZ, C_LA
+from quadexp.plugins.aerodynamics.coefficients import C_D0, C_DX, C_DZ, C_LA
 
 if TYPE_CHECKING:
-    from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
+    from quadexp.physics.rotor import RotorGeometry
     from quadexp.physics.vehicle import Vehicle
+    from quadexp.plugins.aerodynamics.coefficients import BladeCoefficients
 
 TINY_SPEED = 1e-12  # m/s, added in square under roots to keep them differentiable at rest
 

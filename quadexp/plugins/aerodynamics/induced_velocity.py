@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression, named_function, named_symbols
-from quadexp.physics.rotor import STANDING, RotorGeometry
+from quadexp.physics.rotor import RotorGeometry
 from quadexp.plugins.aerodynamics.blade_element import (
     ADOPTED,
     TINY_SPEED,
@@ -30,6 +30,7 @@ from quadexp.plugins.aerodynamics.blade_element import (
     thrust_loss_per_flow,
     unloaded_thrust,
 )
+from quadexp.plugins.aerodynamics.coefficients import STANDING
 
 SAFE_ITERATIONS = 60  # halving alone reaches 1e-12 m/s from any bracket in 50
 

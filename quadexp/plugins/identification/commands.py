@@ -120,7 +120,7 @@ def validate(
     quadexp validate models/crazyflie --flights flights/a.parquet flights/b.parquet flights/c.parquet --leave-one-out
     """
     from quadexp.plugins.identification import validate as validation
-    from quadexp.plugins.logs.vehicle_of import config_for
+    from quadexp.plugins.identification.config_for import config_for
 
     overrides = [text for text in words if "=" in text]
     paths = [Path(text) for text in words if "=" not in text]

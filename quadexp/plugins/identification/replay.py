@@ -38,13 +38,13 @@ from quadexp.parts.options import Folders
 from quadexp.parts.schema import Config, controller_name
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification import validation
+from quadexp.plugins.identification.config_for import config_for
 from quadexp.plugins.identification.recorded import tracked_scale
 from quadexp.plugins.identification.replay_log import LoggedPath, Noise
 from quadexp.plugins.identification.torque_gain import TorqueGain
 from quadexp.plugins.identification.validation import POINT, WORLD_VELOCITY, Predictor
 from quadexp.plugins.identification.vehicle_model import VehicleModel
 from quadexp.plugins.logs.samples import QUATERNION, FlightRows, read_rows
-from quadexp.plugins.logs.vehicle_of import config_for
 from quadexp.provenance import provenance, versions
 from quadexp.writer import check_output, write_text
 
@@ -150,7 +150,7 @@ def _late(dead_time: float, lag: float, words: Sequence[str]) -> list[str]:
 def composed(flight: Flight, words: Sequence[str], conf: Folders) -> Config:
     """The configuration of a member: the log's vehicle and, of a simulated log, its controller, changed by words."""
     from quadexp.parts.compose import session
-    from quadexp.parts.recorded import recorded_words
+    from quadexp.plugins.margins.recorded import recorded_words
 
     recorded = flight.metadata.get("config") or {}
     flown = {} if is_recorded(flight) else {key: recorded[key] for key in ("controller",) if key in recorded}

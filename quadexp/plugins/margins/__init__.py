@@ -4,6 +4,6 @@ BRINGS = {
     "services": {
         "loop_margins": "quadexp.plugins.margins.loop_margins:loop_margins",
         "instability": "quadexp.plugins.margins.loop_margins:instability",
-        "path_margins": "quadexp.plugins.margins.loop_margins:path_margins",
+        "margins": "quadexp.plugins.margins.requests:margins",
     }
 }

@@ -47,10 +47,11 @@ from quadexp.names import named
 from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import Expression, symbols, unit
-from quadexp.physics.rotation import along_z, cross_matrix, exponential, product, right_jacobian, rotation_matrix
+from quadexp.physics.rotation import along_z, exponential, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, STATE_COLUMNS, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.worlds.inertial import FORCE, N_BIAS, N_DENSITIES, N_READING, TURN, Aid, InertialSensors
+from quadexp.plugins.worlds.rotation_vector import cross_matrix, right_jacobian
 from quadexp.world.effect import Clock, Effect, Measured, Readings, Sizes, Start
 
 N_NOMINAL, N_ERROR = 16, 15  # position, velocity, attitude (4 and 3 numbers), two biases of 3

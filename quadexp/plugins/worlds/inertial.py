@@ -45,9 +45,10 @@ from quadexp.log.schema import BIAS_COLUMNS
 from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.parts.settings import Setting, key, keyed
 from quadexp.physics.expression import Expression, split
-from quadexp.physics.rotation import along_z, conjugate, exponential, logarithm, product, rotation_matrix
+from quadexp.physics.rotation import along_z, exponential, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.worlds.rotation_vector import conjugate, logarithm
 from quadexp.world.effect import Clock, Effect, Measured, Readings, Sizes, Start
 from quadexp.world.streams import TICK, Drawn, Held, Sampled
 

@@ -13,10 +13,11 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import Expression
-from quadexp.physics.rotation import conjugate, exponential, logarithm, product
+from quadexp.physics.rotation import exponential, product
 from quadexp.physics.state import ATTITUDE, POSITION
 from quadexp.plugins.worlds.eskf import D_ATTITUDE, D_POSITION, D_VELOCITY
 from quadexp.plugins.worlds.inertial import OUTAGE, RATE, SHARE, Aid, InertialSensors, Innovation
+from quadexp.plugins.worlds.rotation_vector import conjugate, logarithm
 
 
 @keyed

@@ -10,9 +10,9 @@ import casadi as ca
 import numpy as np
 
 from quadexp.errors import ModelDomainError
-from quadexp.physics.rotor import C_D0, C_LA, STANDING, THETA, BladeCoefficients
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.aerodynamics.blade_element import ADOPTED, CrossTerms, aerodynamic_wrench, blade_forces, rotor_flow
+from quadexp.plugins.aerodynamics.coefficients import C_D0, C_LA, STANDING, THETA, BladeCoefficients
 from quadexp.plugins.aerodynamics.induced_velocity import REASONS, Defined, solution_function
 
 

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from quadexp.errors import ModelDomainError
-from quadexp.physics.rotor import BladeCoefficients
 from quadexp.plugins.aerodynamics.blade_element import (
     PRINTED,
     aerodynamic_wrench,
@@ -13,6 +12,7 @@ from quadexp.plugins.aerodynamics.blade_element import (
     motor_coefficients,
     static_coefficients,
 )
+from quadexp.plugins.aerodynamics.coefficients import BladeCoefficients
 from tests import paper
 from tests.plugins.aerodynamics.aerodynamic_point import aerodynamic_point
 

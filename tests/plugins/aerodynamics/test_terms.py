@@ -10,9 +10,10 @@ from scipy.optimize import brentq
 from quadexp.errors import DataError, UsageError
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.residual import AXES
-from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
+from quadexp.physics.rotor import RotorGeometry
 from quadexp.plugins.aerodynamics.blade_element import motor_coefficients, static_coefficients
 from quadexp.plugins.aerodynamics.blocks import regress
+from quadexp.plugins.aerodynamics.coefficients import BladeCoefficients
 from quadexp.plugins.aerodynamics.terms import (
     SELF_CONSISTENT,
     Z_TERMS,

@@ -12,9 +12,9 @@ from quadexp.experiment.identity import flight_record
 from quadexp.log.store import write_flight
 from quadexp.parts.compose import Composer, compose, session
 from quadexp.parts.options import given_folders
-from quadexp.parts.recorded import recorded_words
 from quadexp.plugins.exchange import crazyflies
-from quadexp.plugins.logs.vehicle_of import config_for
+from quadexp.plugins.identification.config_for import config_for
+from quadexp.plugins.margins.recorded import recorded_words
 from tests.cli.command import run
 from tests.log.flights import straight_flight
 

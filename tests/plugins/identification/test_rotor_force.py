@@ -12,7 +12,7 @@ from quadexp.models.checkpoint import load_model, plain, save_model
 from quadexp.models.dataset import ResidualDataset, read_dataset
 from quadexp.models.verdict import split_by_flight, verdict, verdict_lines
 from quadexp.parts.compose import compose
-from quadexp.physics.rotor import BladeCoefficients
+from quadexp.plugins.aerodynamics.coefficients import BladeCoefficients
 from quadexp.plugins.identification.rotor_force import RotorForce, fit_mean
 from tests.models.test_terms import lumped_coefficients
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from quadexp import requests
 from quadexp.experiment.evaluate import InfeasibleError, build_loop, fly_one
 from quadexp.log.store import write_flight
 from quadexp.parts.compose import compose
 from quadexp.plugins.margins import loop_margins
 from quadexp.plugins.margins.loop_margins import margins
+from quadexp.plugins.margins.requests import margins as along_path
 from quadexp.plugins.page.report.sections import margins as margins_of
 from quadexp.report.summary import flight_lines, margin_line, world_note
 
@@ -96,12 +96,12 @@ def test_the_hash_of_a_law_does_not_know_of_what_is_as_usual():
 def test_margins_along_a_path_begin_with_those_at_hover(tmp_path):
     """At rest at the beginning; of a flight's file as of its settings."""
     words = ["controller=geometric", "trajectory=circle", "trajectory.speed=6", "world=only_latency"]
-    rows = requests.margins(words)
+    rows = along_path(words)
     known = flown("controller=geometric", "world=only_latency")["margins"]
     assert len(rows) == 9 and rows[0]["speed"] < 0.1 and max(row["speed"] for row in rows) > 5
     assert rows[0]["delay"] == pytest.approx(known["delay"], rel=0.02)
     write_flight(tmp_path / "flight.parquet", fly_one(compose(words)))
-    assert requests.margins([str(tmp_path / "flight.parquet")]) == rows
+    assert along_path([str(tmp_path / "flight.parquet")]) == rows
 
 
 @pytest.mark.parametrize(("lag", "grid", "stable"), [(0.04, "precise", True), (0.2, "precise", False)])

@@ -10,8 +10,8 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import fly_one
 from quadexp.log.schema import Flight
 from quadexp.parts.compose import session
-from quadexp.physics.rotor import THETA
 from quadexp.physics.state import ATTITUDE, STATE_COLUMNS, VELOCITY
+from quadexp.plugins.aerodynamics.coefficients import THETA
 from quadexp.plugins.papers.lei_li.blade_element import FIRST_VALUES, OFFLINE, fit_blade_element, identify_flight
 from quadexp.plugins.papers.lei_li.rls import BladeElementRLS, RLSSettings
 from tests import paper

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.physics.rotor import BladeCoefficients
+from quadexp.plugins.aerodynamics.coefficients import BladeCoefficients
 from quadexp.plugins.papers.lei_li.blade_element import blade_element_residual
 from tests import paper
 

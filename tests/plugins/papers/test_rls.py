@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.physics.rotor import BladeCoefficients
+from quadexp.plugins.aerodynamics.coefficients import BladeCoefficients
 from quadexp.plugins.papers.lei_li.rls import AXES, BladeElementRLS, RLSSettings
 from tests import paper
 from tests.models.air_data import air_data

@@ -52,7 +52,6 @@ from quadexp.models.residual import AXES, Residual, feature_names, symbolic_resi
 from quadexp.names import named
 from quadexp.physics.expression import Expression, symbols
 from quadexp.physics.rotation import along_z
-from quadexp.physics.rotor import C_LA, IDLE_SPEED, THETA, BladeCoefficients
 from quadexp.physics.state import STATE_COLUMNS, root_mean_square
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.aerodynamics.blade_element import (
@@ -63,6 +62,7 @@ from quadexp.plugins.aerodynamics.blade_element import (
     static_rotor_speed,
 )
 from quadexp.plugins.aerodynamics.blocks import LEAST_BLOCKS, over_blocks
+from quadexp.plugins.aerodynamics.coefficients import C_LA, IDLE_SPEED, THETA, BladeCoefficients
 from quadexp.plugins.aerodynamics.induced_velocity import balance, newton, safe_newton, starting_point
 from quadexp.plugins.logs.samples import READINGS, check_columns
 from quadexp.plugins.papers.lei_li.rls import ITERATIONS as SAFE_ITERATIONS

@@ -35,7 +35,6 @@ from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.settings import REQUIRED, Settings, key, keyed, part
 from quadexp.physics.expression import Expression, limited, symbols
 from quadexp.physics.rigid_body import body_features, state_derivative
-from quadexp.physics.rotor import C_D0, C_LA, IDLE_SPEED, STANDING, THETA, BladeCoefficients, BladeKeys
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.aerodynamics.blade_element import (
@@ -45,6 +44,15 @@ from quadexp.plugins.aerodynamics.blade_element import (
     aerodynamic_wrench,
     rotor_flow,
     static_coefficients,
+)
+from quadexp.plugins.aerodynamics.coefficients import (
+    C_D0,
+    C_LA,
+    IDLE_SPEED,
+    STANDING,
+    THETA,
+    BladeCoefficients,
+    BladeKeys,
 )
 from quadexp.plugins.aerodynamics.induced_velocity import (
     REASONS,

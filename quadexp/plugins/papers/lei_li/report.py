@@ -17,7 +17,7 @@ from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.names import named
-from quadexp.physics.rotor import THETA
+from quadexp.plugins.aerodynamics.coefficients import THETA
 from quadexp.plugins.drawing.style import COLOURS, DASHES, GREY, Figure, entries, looks, plain_log, styled
 from quadexp.report.metrics import position_error
 from quadexp.report.table import Table

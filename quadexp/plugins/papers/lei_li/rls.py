@@ -44,9 +44,9 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Settings, key, keyed, part
 from quadexp.physics.expression import Expression, limited, named_function, named_symbols, symbols
-from quadexp.physics.rotor import C_D0, C_DX, C_DY, C_DZ, C_LA, THETA, BladeCoefficients, BladeKeys
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.aerodynamics.blade_element import ADOPTED, aerodynamic_wrench, rotor_flow
+from quadexp.plugins.aerodynamics.coefficients import C_D0, C_DX, C_DY, C_DZ, C_LA, THETA, BladeCoefficients, BladeKeys
 from quadexp.plugins.aerodynamics.induced_velocity import balance, safe_newton
 
 SLOWEST = 1.0  # rad/s; samples with a slower rotor are skipped (the advance ratio is not defined there)

@@ -25,9 +25,9 @@ from quadexp.names import named
 from quadexp.parts.settings import REQUIRED, key, keyed, part
 from quadexp.physics.expression import named_function
 from quadexp.physics.rotation import air_velocity
-from quadexp.physics.rotor import THETA, BladeCoefficients
 from quadexp.physics.state import ATTITUDE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.coefficients import THETA, BladeCoefficients
 from quadexp.plugins.papers.lei_li.rls import Identification
 
 # Changes of (C_d0, C_la, C_D) for which the reference is recomputed: each is about 0.05 m/s^2 at 10 m/s.

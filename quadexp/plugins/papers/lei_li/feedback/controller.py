@@ -18,9 +18,9 @@ from quadexp.names import named
 from quadexp.parts.settings import REQUIRED, Backend, key, keyed
 from quadexp.physics.expression import split
 from quadexp.physics.rotation import air_velocity
-from quadexp.physics.rotor import THETA
 from quadexp.physics.state import ATTITUDE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.coefficients import THETA
 from quadexp.plugins.papers.lei_li.feedback.frames import FRD_FLU
 from quadexp.plugins.papers.lei_li.feedback.law import (
     VARIANTS,

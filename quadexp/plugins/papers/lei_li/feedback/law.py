@@ -43,10 +43,10 @@ from quadexp.errors import UsageError
 from quadexp.parts.settings import Settings, Triple, key
 from quadexp.physics.expression import Expression, dense_function, limited, symbols
 from quadexp.physics.rotation import air_velocity, along_z, rotation_matrix
-from quadexp.physics.rotor import C_D0, C_DX, C_DZ, C_LA
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.aerodynamics.blade_element import aerodynamic_wrench, blade_forces, body_drag, static_inflow
+from quadexp.plugins.aerodynamics.coefficients import C_D0, C_DX, C_DZ, C_LA
 from quadexp.plugins.aerodynamics.induced_velocity import balance, safe_newton
 from quadexp.plugins.papers.lei_li.feedback.frames import FRD_FLU, NED_ENU, euler_angles, rotation_euler, yaw_ned
 

@@ -5,15 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.physics.rotation import (
-    air_velocity,
-    conjugate,
-    cross_matrix,
-    exponential,
-    logarithm,
-    product,
-    right_jacobian,
-)
+from quadexp.physics.rotation import air_velocity, exponential, product
+from quadexp.plugins.worlds.rotation_vector import conjugate, cross_matrix, logarithm, right_jacobian
 
 
 def number(expression) -> np.ndarray:
