@@ -10,7 +10,7 @@ progress: called with (done, total). Errors are QuadexpError and its kinds with 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -77,21 +77,6 @@ def simulate(
     return Flown(flight, path, [note for note in notes if note])
 
 
-class NoFigures(contextlib.AbstractContextManager["NoFigures"]):
-    """Where no plug-in draws the figures of a sweep."""
-
-    failed: Mapping[str, str] = {}
-
-    def __init__(self, *about: Any) -> None: ...
-
-    def __exit__(self, *error: object) -> None: ...
-
-    def begin(self, rows: Any, record: Any = None) -> None: ...
-
-    def end(self) -> dict[str, str]:
-        return {}
-
-
 class Swept(NamedTuple):
     """A sweep that was flown. result: rows and tables (quadexp/sweeps/sweep.py). metric: of its table. out: its folder.
     files: figures and tables by name. lines: of a paper's own table, none for that of all controllers. notes: what to
@@ -138,10 +123,9 @@ def evaluate(
     from quadexp.report import paper as papers
 
     papers.check(first.evaluate.figures)
-    drawn_by = brought("services", "sweep_figures")
     if figures is None:
-        figures = sweep and drawn_by is not None
-    drawn_by = service("sweep_figures", "--figures") if figures else drawn_by or NoFigures
+        figures = sweep and brought("services", "sweep_figures") is not None
+    drawn_by = service("sweep_figures", "--figures") if figures else None
     sample = cells[:SAMPLED]
     preload = _preload(sample, figures)
     if sweep and first.engine.kind == "local" and not (out / RESULTS).exists():
@@ -164,7 +148,9 @@ def evaluate(
     with (
         watching or contextlib.nullcontext(),
         Workers(settings.workers, settings.memory or None, preload, calls=FIGURES if figures else 1) as processes,
-        drawn_by(out, processes if sweep else None, settings.metric, settings.confidence) as drawn,
+        drawn_by(out, processes if sweep else None, settings.metric, settings.confidence)
+        if drawn_by
+        else contextlib.nullcontext() as drawn,
         shown((lambda: watching.snapshot().table().rich()) if watching else None) as counted,
     ):
         if watching:
@@ -181,14 +167,15 @@ def evaluate(
             isolate=sweep,
             progress=counted if watching is None else watching.before(counted),
             on_result=watching.on_result if watching else lambda row: None,
-            flown=drawn.begin if figures else lambda rows, record: None,
+            flown=drawn.begin if drawn else lambda rows, record: None,
             conf=given_folders(conf),
         )
-        files = result.files | drawn.end()
+        files = result.files | (drawn.end() if drawn else {})
     paper = papers.paper(settings.figures)
     special = papers.write(paper, result.rows, out) if paper and figures and files else {}
     lines = paper.overview(result.rows).lines() if paper and hasattr(paper, "overview") else []
-    failed = [f"{name}: not drawn: {why}; the tables are not affected" for name, why in drawn.failed.items()]
+    not_drawn = drawn.failed if drawn else {}
+    failed = [f"{name}: not drawn: {why}; the tables are not affected" for name, why in not_drawn.items()]
     if missing := result.not_flown:
         cause = f"{len(missing)} of {len(result.rows)} cells were not flown; the first: {missing[0]['cause']}"
         failed.append(cause)

@@ -11,6 +11,7 @@ from typing import Annotated, NamedTuple
 
 from quadexp.cli.command import Answer, Ask, Conf, command
 from quadexp.errors import UsageError
+from quadexp.plugin import service
 from quadexp.writer import check_output, write_text
 
 HEADING = "Extend"
@@ -116,7 +117,8 @@ def new(
     quadexp new vehicle racer --from params.toml:racer
     """
     if source is not None:
-        return _vehicle_from(part, name, source, to)
+        answer: Answer = service("new_vehicle", f"new {part} --from {source}")(part, name, source, to)
+        return answer
     notes = [f"new {part}: is `new {FORMER[part]}` now"] if part in FORMER else []
     part = FORMER.get(part, part)
     if part not in TEMPLATES:
@@ -124,7 +126,7 @@ def new(
     template = TEMPLATES[part]
     texts = _texts(template, name)
     group, option = template.named(name)
-    _check_name(part, name, template, to)
+    check_name(part, name, template, to)
     for path in texts:
         if (to / path).exists():
             raise UsageError(f"new {part}: {to / path} exists already: choose another name, or another --to")
@@ -140,29 +142,6 @@ def new(
     record = {"part": part, "name": name, "option": f"{group}={option}", "files": files, "commands": commands}
     hints = ["", "test it, fly it, then make it yours:", *(f"    {words}" for words in commands)]
     return Answer(record, [{"file": str(file)} for file in files], [*files, *hints], notes)
-
-
-def _vehicle_from(part: str, name: str, source: str, to: Path) -> Answer:
-    """A vehicle with the numbers of another program's file."""
-    from omegaconf import OmegaConf
-
-    from quadexp.experiment.build import build_vehicle
-    from quadexp.parts.settings import made
-    from quadexp.physics.vehicle import Vehicle
-    from quadexp.plugin import service
-
-    if part != "vehicle":
-        raise UsageError(f"new {part} --from: only a vehicle is read from a file")
-    _check_name(part, name, TEMPLATES[part], to)
-    file, _, section = source.partition(":")
-    keys = service("vehicle_of_file", f"new vehicle --from {source}")(Path(file), section)
-    build_vehicle(made(Vehicle, {"name": name} | keys))
-    stated = {"_target_": f"{Vehicle.__module__}.{Vehicle.__name__}", "name": name} | keys
-    text = f"# From {source}. SI units; rate_max, the largest body rate of a reference, is not from there.\n"
-    path = write_text(to / "vehicle" / f"{name}.yaml", text + OmegaConf.to_yaml(OmegaConf.create(stated)), force=False)
-    command = f"quadexp simulate --conf {shlex.quote(str(to))} vehicle={name} --out runs/{name}.parquet"
-    record = {"part": part, "name": name, "option": f"vehicle={name}", "files": [path], "commands": [command]}
-    return Answer(record, [{"file": str(path)}], [path, "", f"    {command}"])
 
 
 def examples_folder() -> Path:
@@ -191,7 +170,7 @@ def _texts(template: Template, name: str) -> dict[str, str]:
     return {renamed(file): renamed((folder / file).read_text(encoding="utf-8")) for file in files}
 
 
-def _check_name(part: str, name: str, template: Template, to: Path) -> None:
+def check_name(part: str, name: str, template: Template, to: Path) -> None:
     """Raise UsageError where the name cannot be one of a module, of an option and of a test, or is taken."""
     from importlib.util import find_spec
 

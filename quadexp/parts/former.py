@@ -16,6 +16,8 @@ from quadexp.messages import note
 GROUPS = {"inner": "rate_loop"}
 MODULES = {
     "quadexp.control.instant": "quadexp.control.control_step",
+    "quadexp.world.ground": "quadexp.plugins.worlds.ground",
+    "quadexp.reference.ellipse": "quadexp.plugins.papers.ellipse",
     "quadexp.control.built": "quadexp.control.cached_function",
     "quadexp.parts.sensor_sheet": "quadexp.parts.sensor_spec",
     "quadexp.plugins.remedies.earlier": "quadexp.plugins.remedies.delay_line",

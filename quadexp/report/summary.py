@@ -18,6 +18,7 @@ from quadexp.log.schema import describe
 from quadexp.log.store import check_finite, read_metadata, read_table
 from quadexp.names import distinct
 from quadexp.parts.schema import WORLD
+from quadexp.plugin import brought
 from quadexp.report.checked import flown_by, flown_by_lines, versions_of
 from quadexp.report.frame import RESULTS
 from quadexp.report.metrics import METRICS, declare_record, errors_none, from_columns
@@ -154,7 +155,8 @@ def _table(path: Path) -> dict[str, Any]:
     if kind == "flight" and "row" in record:
         lines += _flight_lines(record, rows, summary)
     elif kind == "flight" and record.get("recorded"):
-        lines += _recorded_lines(record, columns, summary)
+        of_log = brought("services", "recorded_lines")
+        lines += of_log(record, columns, summary) if of_log else []
     elif kind == "residuals":
         lines += _residual_lines(record, columns, summary)
     elif kind == "results":
@@ -182,22 +184,6 @@ def _flight_lines(record: Mapping[str, Any], samples: int, summary: dict[str, An
     lines += [f"world       {world}{beside}"] if world else []
     summary["classes"] = record.get("classes", {})
     return lines + [f"class       {group}: {name}" for group, name in summary["classes"].items()]
-
-
-def _recorded_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], summary: dict[str, Any]) -> list[str]:
-    """The source of a recorded flight, and the findings of the quality check."""
-    source = record.get("source", {})
-    findings = record.get("findings", [])
-    t = columns["t"]
-    summary |= {"source": record.get("source"), "findings": findings}
-    file = source.get("file")
-    form = source.get("format")
-    rate = source.get("rate")
-    hertz = f" at {rate:.4g} Hz" if isinstance(rate, (int, float)) else ""
-    lines = [f"recorded    {file} ({form}), {float(t[-1] - t[0]) if len(t) else 0.0:.1f} s{hertz}"]
-    if all(name in columns for name in ("v_x", "v_y", "v_z")) and len(t):
-        lines.append(f"peak speed  {float(np.sqrt(sum(columns[f'v_{i}'] ** 2 for i in 'xyz')).max()):.2f} m/s")
-    return lines + [f"finding     {finding['message']}" for finding in findings]
 
 
 def _residual_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray], summary: dict[str, Any]) -> list[str]:

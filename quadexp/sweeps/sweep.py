@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import shlex
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,7 +27,6 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, read_metadata
 from quadexp.names import named, without
 from quadexp.parts.cells import Cell, Cells
-from quadexp.parts.schema import Config
 from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.checked import differing_libraries, flown_by, program_name, programs_text
 from quadexp.report.frame import RESULTS
@@ -35,7 +34,7 @@ from quadexp.report.metrics import is_measured, measured, own_record
 from quadexp.report.pairing import BASELINE
 from quadexp.report.statistics import CONFIDENCE, Statistics
 from quadexp.report.table import Table
-from quadexp.sweeps.engine import CellFailed, CellFunction, Engine, LocalEngine, Progress, Task, Workers
+from quadexp.sweeps.engine import CellFailed, CellFunction, Engine, LocalEngine, Progress, Task
 from quadexp.sweeps.plan import INVALID, Job, check_jobs, flying_order, plan_cells
 from quadexp.sweeps.sweep_table import Row, table_row, write_results
 from quadexp.writer import flush
@@ -123,13 +122,13 @@ def run_sweep(
             store.remove(jobs)
         else:
             _refuse_another_sweep(store, jobs)
-        rows, notes = _recall(store, jobs, old)
+        rows, notes = recall(store, jobs, old)
         for job in (job for job in jobs.values() if job.invalid):
             rows[job.key] = _row_of(job, failed_row(job.cell.config, None, job.invalid, INVALID), store)
         todo = len(jobs) - len(rows)
         for row in rows.values():
             on_result(row)
-        for row in _fly_missing(jobs, rows, store, engine or LocalEngine(workers), function, isolate, progress):
+        for row in fly_missing(jobs, rows, store, engine or LocalEngine(workers), function, isolate, progress):
             on_result(row)
         in_order = [rows[key] for key in jobs]
         if all(row["outcome"] == INVALID for row in in_order):
@@ -154,28 +153,6 @@ def run_sweep(
     return SweepResult(store.root, in_order, todo, shown, statistics, files, [*notes, *altered])
 
 
-def fly_cells(
-    cells: Iterable[Cell],
-    store: CellStore,
-    engine: Engine | None = None,
-    *,
-    function: CellFunction = evaluate_cell,
-    isolate: bool = True,
-    progress: Progress = lambda done, total: None,
-) -> list[Row]:
-    """Rows of some cells in their order, flown where they are not in the store; no table is written.
-
-    progress: called with the numbers of cells done and of all. Cells of other sources are flown again. The caller
-    holds the lock of the store. Raises as `run_sweep` does, and UsageError for a cell that contradicts itself.
-    """
-    jobs = plan_cells(cells)
-    if wrong := check_jobs(jobs.values()):
-        raise UsageError(next(iter(wrong.values())))
-    rows, _ = _recall(store, jobs, "refly")
-    list(_fly_missing(jobs, rows, store, engine or LocalEngine(), function, isolate, progress))
-    return [rows[key] for key in jobs]
-
-
 @contextlib.contextmanager
 def flying(store: CellStore, state: Callable[[], str]) -> Iterator[None]:
     """A folder of cells, made and locked while flights are written there; removed again where there were none.
@@ -198,7 +175,7 @@ def flying(store: CellStore, state: Callable[[], str]) -> Iterator[None]:
             store.clean()
 
 
-def _recall(store: CellStore, jobs: Mapping[str, Job], old: Old) -> tuple[dict[str, Row], list[str]]:
+def recall(store: CellStore, jobs: Mapping[str, Job], old: Old) -> tuple[dict[str, Row], list[str]]:
     """Key -> row of the cells that are there and stay, each taken from its file, whose bytes are compared with their
     hash; and notes on those that have changed or hold too few samples, and on those of other sources or libraries.
 
@@ -259,7 +236,7 @@ def flight_of(path: Path, row: Mapping[str, Any]) -> Flight:
     return read_flight(path, check=False)
 
 
-def _fly_missing(
+def fly_missing(
     jobs: Mapping[str, Job],
     rows: dict[str, Row],
     store: CellStore,
@@ -313,17 +290,3 @@ def _refuse_another_sweep(store: CellStore, jobs: Mapping[str, Job]) -> None:
             f"{store.root}: holds the results of another sweep ({len(dropped)} of its {len(earlier)} cells are not in"
             " this one): choose another --out, or pass --force to replace them"
         )
-
-
-@contextlib.contextmanager
-def opened(config: Config, calls: int) -> Iterator[Engine]:
-    """The engine for several rounds of flights: its processes, or its cluster, are started once and end with the
-    context. calls: flights at least."""
-    settings = config.evaluate
-    with Workers(settings.workers, settings.memory or None, calls=calls) as processes:
-        engine: Any = config.engine.build(settings, processes)
-        if isinstance(engine, LocalEngine):
-            yield engine
-            return
-        with engine.open() as client:
-            yield replace(engine, open=lambda: contextlib.nullcontext(client))

@@ -25,6 +25,7 @@ from quadexp.plugins.identification.from_model import FromModelPlant
 from quadexp.plugins.papers.lei_li.plant import BladeElementEffects, BladeElementPlant, PlantChange
 from quadexp.plugins.worlds.battery import Battery
 from quadexp.plugins.worlds.dryden import Dryden
+from quadexp.plugins.worlds.ground import GroundEffect
 from quadexp.plugins.worlds.slung_load import SlungLoad
 from quadexp.reference.circle import Circle
 from quadexp.reference.hover import Hover
@@ -34,7 +35,6 @@ from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.actuator import Actuator
 from quadexp.world.constant_wind import ConstantWind
 from quadexp.world.disturbance import Disturbance
-from quadexp.world.ground import GroundEffect
 from quadexp.world.link import Latency
 from quadexp.world.rotor_loss import RotorLoss
 from quadexp.world.sensors import Sensors

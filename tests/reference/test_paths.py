@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, RATE
 from quadexp.plugins.logs.from_file import FileTrajectory
+from quadexp.plugins.papers.ellipse import Ellipse
 from quadexp.plugins.papers.lei_li.feedback.frames import NED_ENU
 from quadexp.plugins.papers.lei_li.paths import LeiLiCircle, Rectangle
 from quadexp.reference.base import Trajectory
 from quadexp.reference.circle import Circle
-from quadexp.reference.ellipse import Ellipse
 from quadexp.reference.flatness import clipped, flat_reference
 from quadexp.reference.hover import Hover
 from quadexp.reference.lemniscate import Lemniscate

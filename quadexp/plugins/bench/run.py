@@ -31,10 +31,11 @@ from quadexp.plugins.bench.entries import Entry, configs_of, field, make_model, 
 from quadexp.plugins.bench.protocol import Protocol, read_protocol, with_fewer_seeds
 from quadexp.plugins.bench.ranking import Row
 from quadexp.plugins.bench.settings import Bench
+from quadexp.plugins.tune.flights import fly_cells, opened
 from quadexp.report.table import Table
 from quadexp.sweeps.engine import CellFunction, Progress
 from quadexp.sweeps.plan import plan_cells
-from quadexp.sweeps.sweep import fly_cells, flying, opened
+from quadexp.sweeps.sweep import flying
 
 MODELS = "models"
 CALLS = 64  # flights that an entry has at least in the larger sizes

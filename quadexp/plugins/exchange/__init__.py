@@ -23,7 +23,7 @@ BRINGS = {
         "c": f"{_HERE}.equations:C",
     },
     "services": {
-        "vehicle_of_file": f"{_HERE}.vehicles:vehicle_keys",
+        "new_vehicle": f"{_HERE}.new_vehicle:vehicle_from",
         "crazyflie_numbers": f"{_HERE}.crazyflies:crazyflie_numbers",
     },
 }

@@ -2,6 +2,7 @@
 
 BRINGS = {
     "parts": {
+        "ellipse": "quadexp.plugins.papers.ellipse",
         "plant": "quadexp.plugins.papers.lei_li.plant",
         "feedback": "quadexp.plugins.papers.lei_li.feedback",
         "rls_mpc": "quadexp.plugins.papers.lei_li.rls_mpc",

@@ -19,6 +19,7 @@ from quadexp.parts.compose import session
 from quadexp.parts.options import Folders
 from quadexp.parts.override import quoted
 from quadexp.parts.schema import controller_name
+from quadexp.plugins.tune.flights import opened
 from quadexp.plugins.tune.preset import check_name, check_place, options_of, write_preset
 from quadexp.plugins.tune.search import Request, Search, Trial, best_of, cells_of, with_seeds
 from quadexp.plugins.tune.settings import Tune
@@ -27,7 +28,6 @@ from quadexp.provenance import libraries, provenance, sources
 from quadexp.report.metrics import declare_parts, metric_of
 from quadexp.report.text import number, shown
 from quadexp.sweeps.engine import CellFunction, Progress
-from quadexp.sweeps.sweep import opened
 from quadexp.writer import check_output
 
 HISTORY = "history.parquet"

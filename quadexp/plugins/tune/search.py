@@ -27,12 +27,13 @@ from quadexp.log.store import read_record, read_text
 from quadexp.parts.cells import Cell
 from quadexp.parts.compose import Composer
 from quadexp.parts.schema import PRESETS, Config
+from quadexp.plugins.tune.flights import fly_cells
 from quadexp.plugins.tune.objective import LOST, Worth, worth
 from quadexp.plugins.tune.space import TUNED, Axis, overrides
 from quadexp.provenance import sources
 from quadexp.sweeps.engine import CellFunction, Engine
 from quadexp.sweeps.plan import plan_cells
-from quadexp.sweeps.sweep import fly_cells, flying
+from quadexp.sweeps.sweep import flying
 from quadexp.writer import write_text
 
 FIRST_SEED = 1_000_000  # of the flights that tune, far from those that evaluate

@@ -1,4 +1,4 @@
-"""More of the world: navigation by a Kalman filter, Dryden turbulence, a battery, a slung load."""
+"""More of the world: navigation by a Kalman filter, Dryden turbulence, a battery, a slung load, the ground."""
 
 BRINGS = {
     "parts": {"worlds": "quadexp.plugins.worlds"},

@@ -12,7 +12,7 @@ from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.physics.state import POSITION, RATE, VELOCITY
 from quadexp.plugins.laws.dfbc import FlatnessBased
 from quadexp.plugins.laws.geometric import Geometric
-from quadexp.reference.ellipse import Ellipse
+from quadexp.plugins.papers.ellipse import Ellipse
 from quadexp.reference.flatness import flat_reference
 from quadexp.reference.hover import Hover
 from quadexp.world.disturbance import Disturbance

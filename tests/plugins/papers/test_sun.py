@@ -8,6 +8,7 @@ from quadexp.experiment.evaluate import fly_one
 from quadexp.log.schema import Flight
 from quadexp.parts.compose import compose, session
 from quadexp.physics.state import STATE_COLUMNS
+from quadexp.plugins.papers.ellipse import Ellipse as ReferenceEllipse
 from quadexp.plugins.papers.sun.data import ellipses, published
 from quadexp.plugins.papers.sun.report import (  # fmt: skip
     INFEASIBLE_SET,
@@ -21,7 +22,6 @@ from quadexp.plugins.papers.sun.report import (  # fmt: skip
     reproduced,
     sun_table,
 )
-from quadexp.reference.ellipse import Ellipse as ReferenceEllipse
 
 ELLIPSE = ["vehicle=sun", "plant=sun", "trajectory=ellipse"]
 

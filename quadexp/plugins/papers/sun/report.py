@@ -34,8 +34,8 @@ from quadexp.plugins.drawing.style import Figure
 from quadexp.plugins.page.draw import figure_of
 from quadexp.plugins.page.paper_cells import Point
 from quadexp.plugins.page.view import Axis, Place, View
+from quadexp.plugins.papers.ellipse import Ellipse as ReferenceEllipse
 from quadexp.plugins.papers.sun.data import CRASHED, FLIGHTS, INFEASIBLE, Ellipse, Published, ellipses, published
-from quadexp.reference.ellipse import Ellipse as ReferenceEllipse
 from quadexp.report.inference import holm, mean_interval, paired_permutation
 from quadexp.report.pairing import grouped
 from quadexp.report.table import Table

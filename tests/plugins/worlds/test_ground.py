@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.world.ground import ground_wrench, thrust_factor
+from quadexp.plugins.worlds.ground import ground_wrench, thrust_factor
 
 RADIUS = 0.12
 

@@ -1,0 +1,33 @@
+"""`quadexp new vehicle --from`: an option with the numbers of another program's file."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+from omegaconf import OmegaConf
+
+from quadexp.cli.command import Answer
+from quadexp.cli.extend import TEMPLATES, check_name
+from quadexp.errors import UsageError
+from quadexp.experiment.build import build_vehicle
+from quadexp.parts.settings import made
+from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.exchange.vehicles import vehicle_keys
+from quadexp.writer import write_text
+
+
+def vehicle_from(part: str, name: str, source: str, to: Path) -> Answer:
+    """A vehicle with the numbers of another program's file."""
+    if part != "vehicle":
+        raise UsageError(f"new {part} --from: only a vehicle is read from a file")
+    check_name(part, name, TEMPLATES[part], to)
+    file, _, section = source.partition(":")
+    keys = vehicle_keys(Path(file), section)
+    build_vehicle(made(Vehicle, {"name": name} | keys))
+    stated = {"_target_": f"{Vehicle.__module__}.{Vehicle.__name__}", "name": name} | keys
+    text = f"# From {source}. SI units; rate_max, the largest body rate of a reference, is not from there.\n"
+    path = write_text(to / "vehicle" / f"{name}.yaml", text + OmegaConf.to_yaml(OmegaConf.create(stated)), force=False)
+    command = f"quadexp simulate --conf {shlex.quote(str(to))} vehicle={name} --out runs/{name}.parquet"
+    record = {"part": part, "name": name, "option": f"vehicle={name}", "files": [path], "commands": [command]}
+    return Answer(record, [{"file": str(path)}], [path, "", f"    {command}"])
