@@ -261,7 +261,8 @@ class Checkpoint:
 
     def __init__(self, path: str | os.PathLike[str], folder: Any = None) -> None:
         self.path = Path(path)
-        self.model, self.report = load_model(self.path), load_report(self.path)
+        self.model = load_model(self.path)
+        self.report = load_report(self.path)
         self._folder = folder  # a temporary one lives as long as this object
 
     def __fspath__(self) -> str:

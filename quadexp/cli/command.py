@@ -94,7 +94,8 @@ class Command(NamedTuple):
         for name, parameter in inspect.signature(self.function).parameters.items():
             hint = hints[name]
             if isinstance(hint, type) and issubclass(hint, Settings):
-                records[name], keys = hint, get_type_hints(hint)
+                records[name] = hint
+                keys = get_type_hints(hint)
                 for key, about in declared(hint).items():
                     ask = self.asked.get(key, Ask(about.setting.meaning))
                     parameters.append(_parameter(key, keys[key], ask, about.default))
@@ -135,8 +136,10 @@ def command(function: Callable[..., Answer], **asked: Ask) -> Command:
 def _parameter(name: str, kind: Any, ask: Ask, default: Any) -> inspect.Parameter:
     """An option, or a word. kind: of its value; a tuple is repeatable."""
     if get_origin(kind) is tuple:
-        kind, required = list[get_args(kind)[0]], default is inspect.Parameter.empty  # type: ignore[misc]  # made at run time
-        kind, default = (kind, default) if required else (kind | None, None)
+        kind = list[get_args(kind)[0]]  # type: ignore[misc]  # made at run time
+        if default is not inspect.Parameter.empty:
+            kind = kind | None
+            default = None
     options: dict[str, Any] = {"help": ask.help, "metavar": ask.metavar or ("FILE" if "Path" in str(kind) else None)}
     if ask.complete:
         options["autocompletion"] = ask.complete

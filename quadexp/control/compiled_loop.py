@@ -88,7 +88,8 @@ class CompiledLoop:
 
     def _mpc(self, plan: Any) -> ctypes.Structure:
         step = plan.mpc.step
-        states, (nodes, inputs) = step.form.states, step.arguments["U"].shape
+        states = step.form.states
+        nodes, inputs = step.arguments["U"].shape
         arrays = {name: step.arguments[name] for name in ("x0", "X_ref", "X", "U", "guess")}
         solved = ("checks", "X_new", "U_new", "X_lin", "U_lin", "bounded_checks", "bounded_X", "bounded_U", "side")
         arrays |= {name: step.results[name] for name in solved} | {"unprepared": plan.unprepared}
@@ -122,7 +123,9 @@ class UserLoop(CompiledLoop):
 
     def __init__(self, controller: Any, reference: CompiledReference) -> None:
         super().__init__(controller.running, controller.control_period)
-        self._controller, self._reference, self.command = controller, reference, self.running.control_step.command
+        self._controller = controller
+        self._reference = reference
+        self.command = self.running.control_step.command
         self._plan = None if self.mpc is None else self.running.control_step.plan.mpc
         rows = reference.where.shape[1]
         n = len(self.command)
@@ -133,7 +136,8 @@ class UserLoop(CompiledLoop):
         self._window = (states, inputs, position, yaw[:3])
         self._drift = yaw[3:]
         alone = CompiledReference((states, inputs, np.arange(rows)[None]), (position[None], yaw[None]))
-        self._alone, s = alone, self.structure
+        self._alone = alone
+        s = self.structure
         s.given, s.reference, s.window = numbers.ctypes.data, *map(_address, (reference, alone))
         self._call: Callable[[], int] = partial(_library().step, ctypes.addressof(s))
         self._read: dict[str, float] = {}  # when C was given the last reading

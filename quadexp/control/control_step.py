@@ -90,7 +90,8 @@ class InputArrays:
         self.specific_force = np.zeros(3)
         self.rotor_speed = np.zeros(rotors)
         self.fresh = np.zeros(2)
-        self.accelerometer_valid, self.rotor_speed_valid = self.fresh[:1], self.fresh[1:]
+        self.accelerometer_valid = self.fresh[:1]
+        self.rotor_speed_valid = self.fresh[1:]
         self.path = np.zeros((5, 3))
         self.yaw = np.zeros(4)
         self.t = 0.0
@@ -100,7 +101,8 @@ class InputArrays:
         """Write what is known at a control instant."""
         self.t, state, force, speed = measurement
         self.state[...] = state
-        self.accelerometer_valid[0], self.rotor_speed_valid[0] = force is not None, speed is not None
+        self.accelerometer_valid[0] = force is not None
+        self.rotor_speed_valid[0] = speed is not None
         if force is not None:
             self.specific_force[...] = force
         if speed is not None:
@@ -110,7 +112,9 @@ class InputArrays:
     def set_reference(self, window: Window) -> None:
         """Write what is known of the reference."""
         self.window = window
-        self.path[...], self.yaw[:3], self.yaw[3] = window.position, window.yaw, window.drift
+        self.path[...] = window.position
+        self.yaw[:3] = window.yaw
+        self.yaw[3] = window.drift
 
 
 class ControlStep(NamedTuple):
@@ -154,7 +158,8 @@ def run(calls: Sequence[Call], k: int = 0, window: Any = None) -> None:
             act()
         elif kind == "window":
             rows = np.arange(len(window.state)) if source is None else source.astype(int)
-            to[...], other[...] = window.state[rows], window.input[rows[:-1]]
+            to[...] = window.state[rows]
+            other[...] = window.input[rows[:-1]]
         elif kind == "square":
             to[...] = factor * (source * source)
         elif kind == "divide":

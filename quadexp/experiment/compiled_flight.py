@@ -143,9 +143,12 @@ class CompiledFlight:
         drawn = self._drawn
         inputs = self._told
         mpc = self._loop.mpc
-        self._x[:], inputs.specific_force[:], self._inner[:] = x, reading, plant.inner
+        self._x[:] = x
+        inputs.specific_force[:] = reading
+        self._inner[:] = plant.inner
         inputs.state[:] = plant.measured if self._world else x
-        inputs.accelerometer_valid[0], inputs.rotor_speed_valid[0] = 1.0, self._turning
+        inputs.accelerometer_valid[0] = 1.0
+        inputs.rotor_speed_valid[0] = self._turning
         if self._turning:
             inputs.rotor_speed[:] = plant.rotor_speed
         flight.time = plant.time

@@ -88,7 +88,8 @@ class SampledReference:
         if self._follow_heading:
             attitude = self.reference.state[self._now, ATTITUDE]
             rate = self.reference.state[self._now, RATE]
-            self._yaw[:, 0], self._drift = heading(attitude), heading_rate(attitude, rate)
+            self._yaw[:, 0] = heading(attitude)
+            self._drift = heading_rate(attitude, rate)
         self.reference.state.flags.writeable = self.reference.input.flags.writeable = False  # horizons are views
 
     def serves(self, controller: Controller) -> bool:
@@ -376,14 +377,19 @@ class _Log:
     ) -> None:
         k = self.rows
         self.rows = self.rows + 1
-        self.state[k], self.input[k], self.reading[k], self.record[k] = x, u, reading, record
+        self.state[k] = x
+        self.input[k] = u
+        self.reading[k] = reading
+        self.record[k] = record
         self.record[k, 0] = took  # with all that is around the MPC
-        self.state_reference[k], self.input_reference[k] = state_reference, input_reference
+        self.state_reference[k] = state_reference
+        self.input_reference[k] = input_reference
         self.inner[k] = inner
         if len(self.estimate):
             self.estimate[k] = estimate
         if not k:
-            self.extra_names, self.extra = [*extra], np.empty((len(self.extra), len(extra)))
+            self.extra_names = [*extra]
+            self.extra = np.empty((len(self.extra), len(extra)))
         self.extra[k] = [extra[name] for name in self.extra_names]
 
     def columns(self, t: np.ndarray, inner_names: list[str]) -> dict[str, np.ndarray]:

@@ -234,14 +234,6 @@ def _read_columns(file: Any) -> tuple[dict[str, np.ndarray], bytes]:
     return columns, content
 
 
-def column_names(path: str | Path, kind: str) -> tuple[list[str], dict[str, Any]]:
-    """Names of the columns and record of a table, without its rows; raises as `read_metadata` does."""
-    import pyarrow.parquet as pq
-
-    record = read_metadata(path, kind)
-    return list(pq.read_schema(path).names), record
-
-
 def read_record(path: str | Path, kind: str) -> dict[str, Any]:
     """The record of a table that holds, byte for byte, what was written, by the hash of its bytes.
 

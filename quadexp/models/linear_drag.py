@@ -214,7 +214,9 @@ def fit_linear_drag(
         fit = regress(
             design, target, names, flight, what=f"drag fit of a_{axis}", loss=loss, intervals=intervals,
         )  # fmt: skip
-        value[places], error[places], freedom[places] = fit.coefficients, fit.errors, fit.freedom
+        value[places] = fit.coefficients
+        error[places] = fit.errors
+        freedom[places] = fit.freedom
         std[i] = root_mean_square(fit.residual)
         spread = np.sum((target - target.mean()) ** 2) if intercept else np.sum(target**2)
         r_squared[i] = 1 - np.sum(fit.residual**2) / spread if spread > 0 else 0.0

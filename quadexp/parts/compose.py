@@ -62,7 +62,9 @@ class Composer:
     def __init__(self, extra: Folders = None) -> None:
         self._files = OptionFiles(extra)
         self._folders = own_folders()
-        self.options, self.option, self.part = self._files.options, self._files.option, self._files.part_of
+        self.options = self._files.options
+        self.option = self._files.option
+        self.part = self._files.part_of
         self.parts = self._files.parts
         self._overrides = OverrideReader(self._files)
         self._trees: dict[tuple[str, ...], dict[str, Node]] = {}

@@ -36,12 +36,6 @@ class Timing(Part):
     )
 
 
-def timed_keys(name: str) -> list[str]:
-    """The keys of parts that a key of `timing` may set."""
-    keys = {"age": ("time",), "motor_lag": ("motor_lag", "motor_lead")}.get(name, (name,))
-    return [f"{group}.{own}" for group in PARTS for own in keys]
-
-
 def with_timing(config: Config, given: Collection[str], motor: str) -> Config:
     """The configuration with its parts given what `timing` holds.
 

@@ -105,7 +105,8 @@ class _Iteration:
         step = self._step
         smallest, waited = np.inf, 0  # change, and iterations since it fell to PROGRESS of its smallest value
         for i in range(self.settings.max_iterations):
-            used, (predicted, outputs) = air, step(air)
+            used = air
+            predicted, outputs = step(air)
             before = change
             change = np.abs(predicted - air.outputs).max(axis=0)
             if decoupled:

@@ -143,10 +143,11 @@ class _Path:
         guess: of the residual's outputs on the coarse grid, (6, n).
         Raises UsageError where the attitude is not determined, or no consistent residual is found.
         """
-        closed_form = model is None and self.demand.yaw is not None
-        air, chi = (
-            (Air.still(len(self.demand.t)), np.zeros(len(self.demand.t))) if closed_form else self._air(model, guess)
-        )
+        if model is None and self.demand.yaw is not None:  # in closed form
+            air = Air.still(len(self.demand.t))
+            chi = np.zeros(len(self.demand.t))
+        else:
+            air, chi = self._air(model, guess)
         return flat_motion(self.demand, self.vehicle, air, Constant(chi))
 
     def _air(self, model: AirModel | None, guess: np.ndarray | None) -> tuple[Air, np.ndarray]:
@@ -162,7 +163,9 @@ class _Path:
             if held.any():
                 rest = Demand.of(self.trajectory, self.demand.t[held][:1], self.vehicle.gravity)
                 air, _ = consistent_air(rest, self.vehicle, model, Constant(chi[held][:1]), self.settings)
-                outputs[:, held], lateral_1[:, held], lateral_2[:, held] = air.outputs, 0.0, 0.0
+                outputs[:, held] = air.outputs
+                lateral_1[:, held] = 0.0
+                lateral_2[:, held] = 0.0
         return Air(outputs, lateral_1, lateral_2), chi
 
     def _on_grid(self, model: AirModel | None, guess: np.ndarray | None) -> tuple[Air, Motion]:

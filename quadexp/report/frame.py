@@ -336,11 +336,18 @@ def setting_text(key: str, value: Any) -> str:
     unit = unit_of(key)
     text = canonical_text(value)
     if is_number(value):
-        factor, unit = (1e3, "ms") if unit == "s" and 0 < value < MILLISECONDS else (1, unit)
+        factor, unit = _in_milliseconds(value, unit)
         text = f"{factor * value:.6g}"
     elif not text.startswith("["):
         unit = ""
     return f"{setting_name(key)} {text} {unit}".strip()
+
+
+def _in_milliseconds(largest: float, unit: str) -> tuple[float, str]:
+    """Factor and unit of numbers up to the largest one."""
+    if unit == "s" and 0 < largest < MILLISECONDS:
+        return 1e3, "ms"
+    return 1, unit
 
 
 def setting_column(key: str, texts: Sequence[str], beside: Sequence[str]) -> tuple[str, dict[str, str]]:
@@ -352,7 +359,7 @@ def setting_column(key: str, texts: Sequence[str], beside: Sequence[str]) -> tup
     unit = unit_of(key)
     name = setting_name(key) if [*map(setting_name, beside)].count(setting_name(key)) == 1 else key
     if all(map(is_number, numbers.values())):
-        factor, unit = (1e3, "ms") if unit == "s" and 0 < max(numbers.values()) < MILLISECONDS else (1, unit)
+        factor, unit = _in_milliseconds(max(numbers.values()), unit)
         columns = {text: f"{factor * value:.6g}" for text, value in numbers.items()}
         if len(set(columns.values())) == len(columns):
             return f"{name} ({unit})" if unit else name, columns

@@ -137,7 +137,8 @@ def sign_flips(differences: np.ndarray, kinds: Sequence[int] = ()) -> tuple[np.n
         sums = np.abs(signs @ values) / (float(np.abs(values).sum()) or 1.0)
         sums = np.round(sums / SAME)  # so that sums which differ by rounding are the same
         share = 1 - np.searchsorted(np.sort(sums), sums) / len(sums)
-        alone[line], attainable[line] = share[0], share.min()
+        alone[line] = share[0]
+        attainable[line] = share.min()
         least = np.minimum(least, weights[line] * share)
     for line in tested:
         joint[line] = np.mean(least <= weights[line] * alone[line])

@@ -169,7 +169,10 @@ class Statistic:
 
 def change_text(reduction: float, low: float = NAN, high: float = NAN, than: str = "") -> str:
     """Such as "98.7 % [98.6, 98.8] less than nominal_mpc"."""
-    word, low, high = ("less", low, high) if reduction >= 0 else ("more", -high, -low)
+    word = "less"
+    if not reduction >= 0:
+        word = "more"
+        low, high = -high, -low
     limits = "" if math.isnan(low) else f" [{low:.1f}, {high:.1f}]"
     return f"{abs(reduction):.1f} %{limits} {word} {than}".rstrip()
 
@@ -205,7 +208,8 @@ def of_lines(tests_of: Sequence[Tests], metrics: Sequence[str]) -> list[Statisti
         unit = describe(metric, "results").unit
         best = best_of_lines(tests, place) if metric not in DESCRIBED else {}
         for at, flights in groups.cells.items():
-            (condition, contestant), among = at, groups.lines[at[0]]
+            condition, contestant = at
+            among = groups.lines[at[0]]
             seeds = among.seeds.get(condition, frozenset()) if contestant in among.compared else frozenset[int]()
             values = np.array([flown.values[place] for flown in flights if flown.outcome == "ok"])
             shared = groups.values(condition, contestant, place, seeds)

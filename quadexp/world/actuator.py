@@ -146,7 +146,8 @@ class Actuator(Effect):
 
     def _after(self, at: Moment) -> tuple[Expression, Expression]:
         """y (n,) in the middle and at the end of the step."""
-        y, (up, down, low, high) = at.inner[: at.command.numel()], ca.vertsplit(at.parameters[:4])
+        y = at.inner[: at.command.numel()]
+        up, down, low, high = ca.vertsplit(at.parameters[:4])
         command = self._lagging(limited(at.command, low, high))
         half = time_constant_towards(y, command, up, down)  # of the decays: which of the two holds
         return decayed(y, command, half), decayed(y, command, half**2)

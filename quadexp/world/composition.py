@@ -212,7 +212,8 @@ class _Parts:
         first = 0
         for i in self.moving:
             size = self._layout.effects[i].inner
-            pieces[i], first = moved[first : first + size], first + size
+            pieces[i] = moved[first : first + size]
+            first = first + size
         return ca.vertcat(of_effects[:0], *pieces)
 
     def _cut(self, value: Any, kind: str) -> list[Any]:
@@ -344,7 +345,8 @@ class _Parts:
         first = 0
         for i in self.still:
             size = layout.effects[i].inner
-            pieces[i], first = still[first : first + size], first + size
+            pieces[i] = still[first : first + size]
+            first = first + size
         of_effects = self.assembled(moved, ca.vertcat(ca.MX(0, 1), *pieces))
         wind, thrusts, *entering = self.drive()(t, x, of_effects, u, parameters, step)
         pushes = any(effect.has("wrench") for effect in self._effects)

@@ -183,7 +183,9 @@ class SimulatedPlant:
         function = self.prepared(duration)
         arguments = function.arguments
         results = function.results
-        arguments["x"][:], arguments["inner"][:], arguments["u"][:] = x, self.inner, u
+        arguments["x"][:] = x
+        arguments["inner"][:] = self.inner
+        arguments["u"][:] = u
         if rng is not None:
             rng.standard_normal(out=self.noise(function))
         function()

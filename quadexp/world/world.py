@@ -165,7 +165,8 @@ class World(SimulatedPlant):
             views = {name: view for name, view in views.items() if function.size1_in(name)}
             self._made[clock] = _Prepared(function, views, buffer, clock)
         prepared = self._made[clock]
-        prepared.arguments["step"][0], prepared.arguments["time"][0] = clock.step, self.time
+        prepared.arguments["step"][0] = clock.step
+        prepared.arguments["time"][0] = self.time
         if len(self.inner):  # a flight has begun
             prepared.arguments["parameters"][:] = self.parameters(clock.step)
         return prepared

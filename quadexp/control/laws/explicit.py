@@ -44,7 +44,8 @@ class ExplicitController(InCalls):
         self._about = about
         self.backend = resolve(law.backend)
         self.node_times = np.array(law.nodes) * self.control_period
-        self.residual_name, self.source = ("none", "") if residual is None else (residual.name, residual.source)
+        self.residual_name = "none" if residual is None else residual.name
+        self.source = "" if residual is None else residual.source
         self._function = function
         reads = set(function.name_in())
         n = vehicle.n_rotors

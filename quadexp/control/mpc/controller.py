@@ -100,12 +100,15 @@ class PredictiveController(InCalls):
     def step(self, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
         """See Controller.step."""
         self.mpc.prepared = self.mpc.prepared and self._prepared is window and self.believed is None
-        self.unprepared[0], self._prepared = not self.mpc.prepared, None
+        self.unprepared[0] = not self.mpc.prepared
+        self._prepared = None
         return super().step(measurement, window)
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step."""
-        mpc, x0, (X_ref, U_ref) = self.mpc, self._x0, self._reference
+        mpc = self.mpc
+        x0 = self._x0
+        X_ref, U_ref = self._reference
         if self.believed is None:
             look = Call("window", X_ref[:, :N_STATE], other=U_ref, when=self.unprepared)
             calls = [look]
@@ -133,7 +136,9 @@ class PredictiveController(InCalls):
 
     def _plan(self) -> None:
         """The MPC's step from what lies in its arrays; what is out of the ordinary is here, and not in C."""
-        mpc, x0, (X_ref, U_ref) = self.mpc, self._x0, self._reference
+        mpc = self.mpc
+        x0 = self._x0
+        X_ref, U_ref = self._reference
         if self._within_reach(x0, X_ref):
             mpc.prepared = False
         if mpc.prepared:

@@ -123,7 +123,11 @@ class FirstSolve:
                 points = []
                 steps = []
                 continue
-            points, steps = ([*points, U.ravel()][-MEMORY:], [*steps, d.ravel()][-MEMORY:]) if length == 1 else ([], [])
+            if length < 1:
+                points, steps = [], []
+            else:
+                points = [*points, U.ravel()][-MEMORY:]
+                steps = [*steps, d.ravel()][-MEMORY:]
             U = U + length * d
             cost = lower
             combined = self._accelerated(points, steps)
@@ -135,7 +139,8 @@ class FirstSolve:
 
     def _linearise(self, U: np.ndarray) -> Direction:
         self.cost(U)
-        self._X[...], self._U[...] = self._rollout.results["X"], U
+        self._X[...] = self._rollout.results["X"]
+        self._U[...] = U
         return self._direction()
 
     def _search(self, U: np.ndarray, d: np.ndarray, cost: float) -> tuple[float, float]:

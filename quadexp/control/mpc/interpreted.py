@@ -88,7 +88,8 @@ class _Loops:
 
     def feedback(self) -> None:
         """See step.Step."""
-        a, (X_new, U_new) = self._a, self._answer
+        a = self._a
+        X_new, U_new = self._answer
         a["X_lin"][0] = a["X_new"][0] = a["x0"]
         for call in self._forth:
             call()

@@ -86,14 +86,17 @@ class ModelPredictiveController:
         self._x0 = arguments["x0"]
         self._X_ref = arguments["X_ref"]
         self._U_ref = arguments["U_ref"]
-        self._X_ref_flat, self._U_ref_flat = self._X_ref.ravel(), self._U_ref.ravel()
+        self._X_ref_flat = self._X_ref.ravel()
+        self._U_ref_flat = self._U_ref.ravel()
         self._X = arguments["X"]
         self._U = arguments["U"]
         self._X_ref_body = self._X_ref[:, :N_STATE]
         self._X_new = self.step.results["X_new"]
         self._U_new = self.step.results["U_new"]
-        self._checks, self._thrust = self.step.results["checks"], self._U[0]
-        self._attitude, self._attitude_ref = self._x0[ATTITUDE], self._X_ref[0, ATTITUDE]
+        self._checks = self.step.results["checks"]
+        self._thrust = self._U[0]
+        self._attitude = self._x0[ATTITUDE]
+        self._attitude_ref = self._X_ref[0, ATTITUDE]
         self._attitude_predicted = self._X[0, ATTITUDE]
         self._first_solve: FirstSolve | None = None  # few flights need it
         self.memory = Memory("MPC", worked={name: arguments[name] for name in ("X", "U", "guess")})
@@ -175,8 +178,10 @@ class ModelPredictiveController:
         """What a rotor gives of a command of 1 N, from the next step on: inputs are the thrusts that are delivered, so
         only their limits change."""
         self.prepared = False
-        (low, high), vehicle = self.limits, self.vehicle
-        low[...], high[...] = scale * vehicle.thrust_min, scale * vehicle.thrust_max
+        low, high = self.limits
+        vehicle = self.vehicle
+        low[...] = scale * vehicle.thrust_min
+        high[...] = scale * vehicle.thrust_max
 
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
@@ -368,7 +373,8 @@ class ModelPredictiveController:
     def _move(self, X_new: np.ndarray, U_new: np.ndarray, turn: float) -> None:
         """Move the guess to a solution; only part of the way where an attitude would change by more than MAX_TURN."""
         if turn <= MAX_TURN:
-            self._X[...], self._U[...] = X_new, U_new
+            self._X[...] = X_new
+            self._U[...] = U_new
             return
         x = self.step.results["X_lin"]
         u = self.step.results["U_lin"]

@@ -155,8 +155,10 @@ class MPCSettings(Settings):
     def state_weight(self) -> np.ndarray:
         """Diagonal of Q, (13,)."""
         q = np.zeros(N_STATE)
-        q[POSITION], q[ATTITUDE] = self.position_weight, self.attitude_weight
-        q[VELOCITY], q[RATE] = self.velocity_weight, self.rate_weight
+        q[POSITION] = self.position_weight
+        q[ATTITUDE] = self.attitude_weight
+        q[VELOCITY] = self.velocity_weight
+        q[RATE] = self.rate_weight
         return q
 
     def thrust_weight(self, vehicle: Vehicle) -> np.ndarray:

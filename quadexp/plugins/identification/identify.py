@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow.parquet as pq
 from msgspec.structs import replace as with_changes
 
 from quadexp.errors import DataError, UsageError
@@ -71,7 +72,8 @@ def choose_method(paths: Sequence[Path], asked: str | None, vehicle: Vehicle | N
     if not paths:
         raise UsageError("identify: no flight given")
     for path in paths:
-        names, record = store.column_names(path, "flight")
+        record = store.read_metadata(path, "flight")
+        names = pq.read_schema(path).names
         flight = Flight(dict.fromkeys(names, np.empty(0)), record)
         if not rotor_columns(flight, "rotor_speed"):
             return Choice("regression", f"{path} has no rotor speeds")

@@ -16,7 +16,8 @@ from quadexp.parts.override import in_grammar
 from quadexp.parts.part import Part
 from quadexp.parts.schema import BUNDLES, PARTS, PRESETS
 from quadexp.parts.settings import declared, flat, plain
-from quadexp.parts.timing import TIMES, timed_keys
+from quadexp.parts.timing import PARTS as TIMED
+from quadexp.parts.timing import TIMES
 from quadexp.parts.user_modules import OWN
 
 
@@ -92,3 +93,9 @@ def _texts(value: Any, key: str) -> Iterator[str]:
             yield from _texts(inner, f"{key}.{name}")
     else:
         yield f"{key}={in_grammar(key, value)}"
+
+
+def timed_keys(name: str) -> list[str]:
+    """The keys of parts that a key of `timing` may set."""
+    keys = {"age": ("time",), "motor_lag": ("motor_lag", "motor_lead")}.get(name, (name,))
+    return [f"{group}.{own}" for group in TIMED for own in keys]
