@@ -14,7 +14,7 @@ from quadexp.models.verdict import split_by_flight, verdict, verdict_lines
 from quadexp.parts.compose import compose
 from quadexp.plugins.aerodynamics.coefficients import BladeCoefficients
 from quadexp.plugins.identification.rotor_force import RotorForce, fit_mean
-from tests.models.test_terms import lumped_coefficients
+from tests.plugins.aerodynamics.test_terms import lumped_coefficients
 
 FLOWN = [
     "vehicle=lei_li", "plant=blade_element", "plant.method=rk4", "plant.step=2.5e-3", "controller=geometric",
