@@ -247,6 +247,8 @@ def fly_missing(
 ) -> Iterator[Row]:
     """Fly the cells that have no row, and give them one; yield each as it ends, also of those that failed."""
     todo = [job for job in jobs.values() if job.key not in rows]
+    for folder in {store.path(job.key).parent for job in todo}:
+        folder.mkdir(parents=True, exist_ok=True)
     progress(len(rows), len(jobs))
     if not todo:
         return
