@@ -25,7 +25,8 @@ from quadexp.writer import check_output, write_text
 FILE = "leaderboard.parquet"
 TEXTS = ("entry", "settings", "family", "task", "world", "size", "protocol_sha256")
 NUMBERS = ("protocol", "bound")
-BEGIN, END = "<!-- bench: begin (written by the command; edit nothing up to the end) -->", "<!-- bench: end -->"
+BEGIN = "<!-- bench: begin (written by the command; edit nothing up to the end) -->"
+END = "<!-- bench: end -->"
 RULE = (
     "Place: who is not significantly different by the flights lost from the entry that lost the fewest, by mean rank"
     " over all"
@@ -119,15 +120,18 @@ def _line(s: Standing) -> list[str]:
     place = "bound" if s.bound else f"{'= ' if s.level else ''}{s.place}"
     rank = "-" if s.bound else value(f"{s.rank:.2f}", s.rank_low, s.rank_high)
     ratio = "-" if math.isnan(s.ratio.value) else value(f"{s.ratio.value:.3g}", s.ratio.low, s.ratio.high, ".3g")
-    least, ratio = of_cells(number(s.least), s.least_cells), of_cells(ratio, s.ratio_cells)
-    ended, step = f"{s.flights - s.lost} of {s.flights}", duration(s.step).replace("µ", "u")
+    least = of_cells(number(s.least), s.least_cells)
+    ratio = of_cells(ratio, s.ratio_cells)
+    ended = f"{s.flights - s.lost} of {s.flights}"
+    step = duration(s.step).replace("µ", "u")
     return [place, s.entry, s.settings, ended, rank, least, ratio, step]
 
 
 def error_table(rows: Sequence[Row], *, metric: str, by: Sequence[str] = ("world",), title: str = "") -> Table:
     """Geometric mean error of every entry, a line for each world (or task and world); lost flights beside it."""
     about = metric_of(metric)
-    factor, unit = about.factor, about.unit
+    factor = about.factor
+    unit = about.unit
     entries = distinct(str(row["entry"]) for row in rows)
     texts = []
     for at, line in grouped((tuple(str(row[name]) for name in by), row) for row in rows).items():

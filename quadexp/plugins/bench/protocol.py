@@ -139,7 +139,8 @@ def protocol_of(text: bytes) -> Protocol:
     families = {}
     for name, part in content["families"].items():
         worlds = {**part["worlds"], **dict(_drawn(part.get("draws", {}), **content.get("draws", {})))}
-        models, overrides = part["models"], tuple(part["given"])
+        models = part["models"]
+        overrides = tuple(part["given"])
         families[name] = Family(name, part["what"], overrides, models, part["tasks"], worlds, part["sizes"])
     ranked = content["metric"], content["baseline"], content["first_seed"]
     sha256 = sha256_of(text)

@@ -71,14 +71,17 @@ def standings(
     rows: with entry, settings, bound, task, world, seed beside those of a result; every entry has all cells.
     """
     entries = {str(row["entry"]): row for row in rows}
-    names, places = list(entries), {name: i for i, name in enumerate(entries)}
+    names = list(entries)
+    places = {name: i for i, name in enumerate(entries)}
     cells = {cell: k for k, cell in enumerate(dict.fromkeys(map(cell_of, rows)))}
     errors, steps = np.full((2, len(names), len(cells)), np.inf)  # m, inf for a lost flight; s
     for row in rows:
         at = places[row["entry"]], cells[cell_of(row)]
-        errors[at], steps[at] = _error(row, metric), float(row["solve_time_median"])
+        errors[at] = _error(row, metric)
+        steps[at] = float(row["solve_time_median"])
     of_seed = grouped((cell[2], cells[cell]) for cell in sorted(cells))
-    ranked, lost = [i for i, name in enumerate(names) if not entries[name]["bound"]], ~np.isfinite(errors)
+    ranked = [i for i, name in enumerate(names) if not entries[name]["bound"]]
+    lost = ~np.isfinite(errors)
     ranks = named(ranked, rankdata(errors[ranked], axis=0))  # ties share their mean rank
     seed_ranks = {i: np.array([np.mean(of_entry[k]) for k in of_seed.values()]) for i, of_entry in ranks.items()}
     seed_losses = np.array([[of_entry[k].sum() for k in of_seed.values()] for of_entry in lost])
@@ -86,12 +89,16 @@ def standings(
     least = np.min(errors[ranked], axis=0, initial=np.inf)
     board = []
     for i, name in enumerate(names):
-        place, level, rank, limits = 0, False, math.nan, NO_INTERVAL
+        place = 0
+        level = False
+        rank = math.nan
+        limits = NO_INTERVAL
         if i in seed_ranks:
             place = 1 + order.index(i)
             above = order[max(place - 2, 0)]
             apart = any(_apart(of[i] - of[above], confidence) for of in (seed_losses, seed_ranks))
-            level, rank = place > 1 and not apart, float(np.mean(seed_ranks[i]))
+            level = place > 1 and not apart
+            rank = float(np.mean(seed_ranks[i]))
             if len(of_seed) >= least_seeds(1, confidence):
                 limits = mean_interval(seed_ranks[i], confidence, least=1.0)
         ratios = _log_ratios(errors[i], least)

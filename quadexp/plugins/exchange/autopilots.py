@@ -30,12 +30,16 @@ from quadexp.plugins.exchange.simulators import MOMENTS, linear_force
 X_LAYOUT = ("fr", "bl", "fl", "br")  # of PX4's quadrotor x, whose SIH has these spins built in
 X_SPINS = (-1, -1, 1, 1)
 FRD = np.diag([1.0, -1.0, -1.0])  # of FLU
-INTEGER, REAL = 6, 9  # types of a QGroundControl parameter file
+# types of a QGroundControl parameter file
+INTEGER = 6
+REAL = 9
 SECOND_ORDER = (2026, 6)  # first Betaflight with the other curve
 FIRST = (4, 0)  # Betaflight with thrust_linear
 LARGEST_LINEAR = 150  # thrust_linear
 THRUSTS = np.linspace(0.1, 1.0, 200)  # shares of full thrust over which Betaflight's curve is fitted
-SPIN_MIN, SPIN_MAX = 0.15, 0.95  # ArduPilot's defaults
+# ArduPilot's defaults
+SPIN_MIN = 0.15
+SPIN_MAX = 0.95
 LOG_SCALE = "the signal s, 0 to 1, is that of the flights' log: the same limits of the motors' outputs must be set"
 
 
@@ -128,8 +132,10 @@ def ardupilot(known: Known, firmware: str | None, path: Path) -> Written:
     known.require_commands("ardupilot")
     share, lost = _share(known, least=-1.0)
     numbers = {"MOT_THST_EXPO": share, "MOT_THST_HOVER": _hover(known)}
-    f, hover = share.value, numbers["MOT_THST_HOVER"].value
-    a, b = SPIN_MIN, SPIN_MAX
+    f = share.value
+    hover = numbers["MOT_THST_HOVER"].value
+    a = SPIN_MIN
+    b = SPIN_MAX
     low, high = ((1 - f) * s + f * s * s for s in (a, b))
     expo = f * (b - a) / (1 - f + f * (a + b))
     lost += [

@@ -110,7 +110,8 @@ def _write(path: Path, written: Written, head: str, force: bool) -> dict[str, Pa
 
 def _known(source: str, named: str | None, conf: Folders, options: Mapping[str, Any]) -> tuple[Known, list[str]]:
     """What is known of a source, and lines on its origin."""
-    voltage, lag = options.get("voltage"), options.get("motor_lag")
+    voltage = options.get("voltage")
+    lag = options.get("motor_lag")
     if voltage is not None and not 0 < voltage <= 1000:
         raise UsageError(f"--voltage {voltage:g}: must be above 0 and at most 1000 V")
     if lag is not None and not 0 < lag <= MOST_LAG:

@@ -41,7 +41,8 @@ def equations(known: Known) -> ca.Function:
     """f, (x (13,), u (n,)) -> x' (13,), from SX operations alone."""
     vehicle = known.vehicle
     residual = no_residual(vehicle) if known.model is None else known.model.residual(vehicle)
-    x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", vehicle.n_rotors)
+    x = ca.SX.sym("x", N_STATE)
+    u = ca.SX.sym("u", vehicle.n_rotors)
     value = corrected_function(vehicle, residual).expand()(x, u, residual.theta)
     return ca.Function("model", [x, u], [ca.densify(ca.cse(value))], ["x", "u"], ["x_dot"])
 
@@ -103,7 +104,9 @@ def python_text(function: ca.Function) -> str:
 
 def _statement(function: ca.Function, i: int, names: dict[int, str]) -> str:
     """One operation of an SX function: a constant, an input, an output, or one of one or two work variables."""
-    code, inputs, outputs = function.instruction_id(i), function.instruction_input(i), function.instruction_output(i)
+    code = function.instruction_id(i)
+    inputs = function.instruction_input(i)
+    outputs = function.instruction_output(i)
     if code == ca.OP_CONST:
         return f"w[{outputs[0]}] = ca.SX({function.instruction_constant(i)!r})"
     if code == ca.OP_INPUT:

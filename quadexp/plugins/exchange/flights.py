@@ -18,7 +18,9 @@ from quadexp.physics.state import norms
 from quadexp.writer import check_output, write_text, written
 
 POSE = ("p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w")
-BLUE, GREY = (0, 114, 178), (136, 136, 136)  # 8-bit RGB; blue of Okabe and Ito
+# 8-bit RGB; blue of Okabe and Ito
+BLUE = (0, 114, 178)
+GREY = (136, 136, 136)
 
 
 def write_columns(flight: Flight, path: Path, *, force: bool = True) -> dict[str, Path]:
@@ -41,7 +43,8 @@ def write_columns(flight: Flight, path: Path, *, force: bool = True) -> dict[str
 def write_poses(flight: Flight, path: Path, *, force: bool = True) -> dict[str, Path]:
     """TUM, `t x y z qx qy qz qw` (s, m, world ENU; body to world, w last), and the reference as
     `<stem>_reference<suffix>`: `evo_ape tum flight_reference.tum flight.tum` compares them. Returns name -> file."""
-    files, poses = {"tum": path}, {"tum": flight.stack(POSE)}
+    files = {"tum": path}
+    poses = {"tum": flight.stack(POSE)}
     wanted = [f"ref_{name}" for name in POSE]
     if all(name in flight.columns for name in wanted):
         files["reference"] = check_output(path.with_name(f"{path.stem}_reference{path.suffix}"), force=force)
@@ -114,7 +117,8 @@ def export_flight(
     if form not in FORMATS:
         raise UsageError(f"--to {form}: no such format; there are {', '.join(FORMATS)}")
     suffix, write = FORMATS[form]
-    source, loaded = Path(flight), read_flight(flight)
+    source = Path(flight)
+    loaded = read_flight(flight)
     target = Path(out) if out is not None else source.with_suffix(suffix)
     if not len(loaded):
         raise UsageError(f"{source}: holds no samples ({loaded.outcome}), there is nothing to export")

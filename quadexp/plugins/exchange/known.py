@@ -29,7 +29,10 @@ from quadexp.physics.state import root_mean_square
 from quadexp.physics.vehicle import Vehicle
 
 AXES = "xyz"
-IDENTIFIED, FROM_FILE, GIVEN, UNKNOWN = "identified", "from the vehicle file", "given", "not known"
+IDENTIFIED = "identified"
+FROM_FILE = "from the vehicle file"
+GIVEN = "given"
+UNKNOWN = "not known"
 SLOPE_STEP = 1e-3  # of a standard error, for slopes of formulas
 STATES = 500  # random states at which a target is compared with the model
 THRUSTS = (0.3, 1.9)  # their range, per thrust in hover

@@ -116,7 +116,8 @@ class DroneModelsPlant(RotorSpeedPlant):
 
         The lag of the motors, which controller.motor_lag says, is left out, and with it the torque of spinning up.
         """
-        n, vehicle = self.vehicle.n_rotors, self.vehicle
+        n = self.vehicle.n_rotors
+        vehicle = self.vehicle
         z, theta = symbols(ca.SX, z=len(feature_names(n)), theta=N_PARAMETERS)
         command = z[6:]
         rpm = _commanded(ca.fmax(command, 0.1 * vehicle.hover_thrust), theta)
@@ -142,8 +143,10 @@ def _commanded(u: Expression, parameters: Expression) -> Expression:
 
 def _spinning(rpm: Expression, command: Expression, parameters: Expression) -> Expression:
     """n' (n,) (rpm/s)."""
-    up, down = parameters[UP], parameters[DOWN]
-    difference, squares = command - rpm, command**2 - rpm**2
+    up = parameters[UP]
+    down = parameters[DOWN]
+    difference = command - rpm
+    squares = command**2 - rpm**2
     return ca.if_else(difference > 0, up[0] * difference + up[1] * squares, down[0] * difference + down[1] * squares)
 
 
@@ -154,12 +157,15 @@ def wrench(
 
     v: air-relative velocity, body frame (3,) (m/s). rate: (3,) (rad/s). rpm, rpm_rate: (n,) (rpm, rpm/s).
     """
-    spin, m = ca.DM(vehicle.rotor_spin), parameters[TORQUE]
+    spin = ca.DM(vehicle.rotor_spin)
+    m = parameters[TORQUE]
     rotors = vehicle.allocation[:3] @ _thrust(rpm, parameters)
     reaction = ca.dot(spin, m[0] + m[1] * rpm + m[2] * rpm**2)
-    total, change = RPM * ca.dot(spin, rpm), RPM * ca.dot(spin, rpm_rate)
+    total = RPM * ca.dot(spin, rpm)
+    change = RPM * ca.dot(spin, rpm_rate)
     axis = ca.DM([0, 0, 1])
-    momentum, momentum_rate = -parameters[INERTIA] * total * axis, -parameters[INERTIA] * change * axis
+    momentum = -parameters[INERTIA] * total * axis
+    momentum_rate = -parameters[INERTIA] * change * axis
     gyroscopic = -ca.cross(rate, momentum) - momentum_rate
     force = linear_drag_force(v, parameters[DRAG]) + along_z(rotors[0])
     return force, ca.vertcat(rotors[1:], reaction) + gyroscopic
@@ -169,7 +175,8 @@ def derivative(vehicle: Vehicle) -> ca.Function:
     """(s (13 + n,): x and rotor speeds (rad/s), u (n,) (N), parameters) -> s', and the specific force (3,) (m/s^2)."""
     n = vehicle.n_rotors
     s, u, parameters = symbols(ca.SX, s=N_STATE + n, u=n, parameters=N_PARAMETERS)
-    x, rpm = s[:N_STATE], s[N_STATE:] / RPM
+    x = s[:N_STATE]
+    rpm = s[N_STATE:] / RPM
     spinning = _spinning(rpm, _commanded(u, parameters), parameters)
     z = body_features(x, u)
     force, torque = wrench(z[:3], z[3:6], rpm, spinning, vehicle, parameters)
@@ -180,7 +187,8 @@ def derivative(vehicle: Vehicle) -> ca.Function:
 
 def _equations(vehicle: Vehicle) -> Equations:
     """RK4; inner states are the rotor speeds, and there is no noise."""
-    n, f = vehicle.n_rotors, derivative(vehicle)
+    n = vehicle.n_rotors
+    f = derivative(vehicle)
     s, u, noise, parameters, step = symbols(ca.SX, s=N_STATE + n, u=n, noise=0, parameters=N_PARAMETERS, step=1)
     thrusts = limited(u, vehicle.thrust_min, vehicle.thrust_max)
     after = integrate("rk4", lambda state: f(state, thrusts, parameters)[0], s, step)

@@ -45,18 +45,23 @@ class RotorPySE3Keys(Settings):
 class RotorPySE3Controller:
     """A Controller (see control.base); raises UsageError without the package, and for other than four rotors."""
 
-    reference_period, residual, backend = 0.0, None, "interpreted"
-    residual_name, source = "none", ""
+    reference_period = 0.0
+    residual = None
+    backend = "interpreted"
+    residual_name = "none"
+    source = ""
 
     def __init__(self, vehicle: Vehicle, keys: RotorPySE3Keys) -> None:
         if vehicle.n_rotors != 4:
             raise UsageError(
                 f"vehicle={vehicle.name}: controller=rotorpy_se3 flies 4 rotors, this vehicle has {vehicle.n_rotors}"
             )
-        self.vehicle, self.control_period = vehicle, 1.0 / keys.rate
+        self.vehicle = vehicle
+        self.control_period = 1.0 / keys.rate
         self.node_times = np.zeros(1)
         self._law = _controller(parameters(vehicle, keys))
-        self._law.kp_pos, self._law.kd_pos = np.array(keys.position_proportional), np.array(keys.position_derivative)
+        self._law.kp_pos = np.array(keys.position_proportional)
+        self._law.kd_pos = np.array(keys.position_derivative)
         self._law.g = vehicle.gravity
 
     def forget(self) -> None:

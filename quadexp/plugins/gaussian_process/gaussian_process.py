@@ -182,7 +182,8 @@ class OutputPosterior(Record, frozen=True):
 
     def predict(self, features: np.ndarray) -> Prediction:
         """Without the prior mean; features (k, d) in physical units."""
-        mean, variance = np.empty(len(features)), np.empty(len(features))
+        mean = np.empty(len(features))
+        variance = np.empty(len(features))
         for start in range(0, len(features), CHUNK):
             rows = slice(start, start + CHUNK)
             distance = (features[rows, None, :] - self.inducing) / self.lengthscale
@@ -259,10 +260,12 @@ class GaussianProcessModel(Model, frozen=True, tag="gaussian_process"):
         return f"Gaussian processes {chosen} ({self.settings['inducing']} points, {self.settings['method']})"
 
     def described(self, report: Callable[[], Mapping[str, Any]]) -> tuple[dict[str, Any], list[str]]:
-        outputs, lines = {}, []
+        outputs = {}
+        lines = []
         for output in self.outputs:
             scales = output.lengthscale.tolist()
-            signal, noise = float(np.sqrt(output.signal_variance)), float(np.sqrt(output.noise_variance))
+            signal = float(np.sqrt(output.signal_variance))
+            noise = float(np.sqrt(output.noise_variance))
             outputs[output.output] = {
                 "features": list(output.features), "inducing": len(output.alpha), "lengthscale": scales,
                 "signal_std": signal, "noise_std": noise,
@@ -331,15 +334,20 @@ def fallback(posterior: OutputPosterior, *, continued: bool) -> np.ndarray:
 
     continued: whether q may be fitted; else it is 0, as where the features are not those of q.
     """
-    output, points = posterior.output, posterior.inducing
-    at_points, freedom, c = posterior.predict(points).mean, len(points), np.zeros(N_FALLBACK - 1)
+    output = posterior.output
+    points = posterior.inducing
+    at_points = posterior.predict(points).mean
+    freedom = len(points)
+    c = np.zeros(N_FALLBACK - 1)
     along = f"v_{output[-1]}"
     if continued and along in posterior.features and {*posterior.features} <= _continued(output):
         columns = {name: points[:, i] for i, name in enumerate(posterior.features)}
-        v, thrust = columns[along], columns.get(THRUST, np.zeros(freedom))
+        v = columns[along]
+        thrust = columns.get(THRUST, np.zeros(freedom))
         design = np.column_stack([np.ones(freedom), v, v * np.abs(v), thrust])
         c, _, rank, _ = np.linalg.lstsq(design, at_points)
-        at_points, freedom = at_points - design @ c, freedom - rank
+        at_points = at_points - design @ c
+        freedom = freedom - rank
         if freedom < 1:  # as many coefficients as points: nothing says how wrong q is
             return fallback(posterior, continued=False)
     misfit = max(float(at_points @ at_points) / freedom, LEAST * posterior.signal_variance)
@@ -361,7 +369,8 @@ def _matrix_sums(
     of_output = [i for i, (_, features, _) in enumerate(structure) for _ in features]
     exponent = [sum(d * d for d, i in zip(distance, of_output, strict=True) if i == o) for o in range(len(structure))]
     kernel = ca.exp(-ca.vertcat(*exponent))  # all outputs in one vectorised loop
-    weighted, kernels = split(alpha * kernel, n_alpha), split(kernel, n_alpha)
+    weighted = split(alpha * kernel, n_alpha)
+    kernels = split(kernel, n_alpha)
     values = [ca.dot(a, k) for a, k in zip(split(alpha, n_alpha), kernels, strict=True)]
     sums = values, [ca.dot(weighted[i], d) for d, i in zip(distance, of_output, strict=True)]
     if not factor.numel():
@@ -377,7 +386,8 @@ def _compiled_sums(
     structure: Structure, scaled: Expression, points: Expression, alpha: Expression, factor: Expression
 ) -> Sums:
     """As _matrix_sums, by gp_sums.c, one call per output."""
-    shapes, dense = [(m, len(features)) for _, features, m in structure], ca.Sparsity.dense
+    shapes = [(m, len(features)) for _, features, m in structure]
+    dense = ca.Sparsity.dense
     weighed = bool(factor.numel())
     kernels = {
         (m, d): handwritten(
@@ -418,17 +428,21 @@ def _scalar_functions(
         known_slope=weighed * n_features,
         fallback=weighed * N_FALLBACK * len(structure),
     )
-    y, dy_dz = ca.SX(N_OUTPUTS, 1), ca.SX(N_OUTPUTS, len(names))
+    y = ca.SX(N_OUTPUTS, 1)
+    dy_dz = ca.SX(N_OUTPUTS, len(names))
     if with_mean:
         y[:3] = linear_drag_acceleration(z, mean) if mean_terms is None else mean_terms.acceleration(z, mean)
         dy_dz[:3, :] = ca.jacobian(y[:3], z)
     phi: list[Expression] = []
     for i, (output, features, _) in enumerate(structure):
-        row, share = OUTPUTS.index(output), 1.0
-        correction, d_share = value[i], 0.0
+        row = OUTPUTS.index(output)
+        share = 1.0
+        correction = value[i]
+        d_share = 0.0
         if weighed:
             ratio, *c = ca.vertsplit(numbers[N_FALLBACK * i : N_FALLBACK * (i + 1)])
-            share, far = 1 / (1 + ratio - known[i]), ca.SX(0)
+            share = 1 / (1 + ratio - known[i])
+            far = ca.SX(0)
             if mean_terms is None and {*features} <= _continued(output):
                 v = z[AXIS[output]]
                 far = c[0] + c[1] * v + c[2] * v * abs(v) + c[3] * ca.sum1(z[len(FEATURES) :])
@@ -470,7 +484,8 @@ def fit_gp(
     if dataset.n_rows < settings.inducing:
         few = f"model.inducing: {settings.inducing} points from {dataset.n_rows} rows"
         raise DataError(f"{few}; collect more, or ask for fewer points")
-    drag, scaled = baseline(dataset, intervals=intervals), with_common_scale(dataset)
+    drag = baseline(dataset, intervals=intervals)
+    scaled = with_common_scale(dataset)
     dataset = scaled.dataset
     mean: LinearDrag | TermMean | None = drag if settings.mean == "linear_drag" else None
     if settings.mean in MEANS:

@@ -204,9 +204,12 @@ def fit_network(rows: ResidualDataset, settings: NNConfig, callback: Callback = 
 
     Raises DataError where there are no rows, or a feature never changes."""
     require_variation(rows, settings.features, (), "model.features")
-    drag, rows = baseline(rows, intervals=False), with_common_scale(rows).dataset
-    x, y = rows.matrix(settings.features), rows.matrix(settings.outputs)
-    centre, spread = x.mean(axis=0), x.std(axis=0)
+    drag = baseline(rows, intervals=False)
+    rows = with_common_scale(rows).dataset
+    x = rows.matrix(settings.features)
+    y = rows.matrix(settings.outputs)
+    centre = x.mean(axis=0)
+    spread = x.std(axis=0)
     unit = np.sqrt(np.mean(y**2, axis=0))
     unit[unit == 0] = 1.0
     with one_thread():
@@ -214,7 +217,8 @@ def fit_network(rows: ResidualDataset, settings: NNConfig, callback: Callback = 
     lipschitz = math.prod(float(np.linalg.norm(w, 2)) for w in weights)
     weights[0] = weights[0] / spread
     biases[0] = biases[0] - weights[0] @ centre
-    weights[-1], biases[-1] = unit[:, None] * weights[-1], unit * biases[-1]
+    weights[-1] = unit[:, None] * weights[-1]
+    biases[-1] = unit * biases[-1]
     network = Network(settings.features, settings.outputs, tuple(weights), tuple(biases))
     error = np.sqrt(np.mean((y - network(x)) ** 2, axis=0))
     about = origin(rows, settings.features, settings, ("numpy", "scipy", "torch"))
@@ -257,11 +261,13 @@ def _network_function(names: tuple[str, ...], network: Network, layer: Layer, ba
     places = feature_places(names, network.features, "network")
     select = _zeros_and_ones(places, len(names))
     place = _zeros_and_ones([[OUTPUTS.index(output)] for output in network.outputs], len(OUTPUTS)).T
-    x, slopes = select @ z, []
+    x = select @ z
+    slopes = []
     for w, b in zip(weights[:-1], parts[1:-1:2], strict=True):
         x, slope = layer(w, b, x)
         slopes.append(slope)
-    y, gradient = weights[-1] @ x + parts[-1], weights[-1]
+    y = weights[-1] @ x + parts[-1]
+    gradient = weights[-1]
     for w, slope in zip(reversed(weights[:-1]), reversed(slopes), strict=True):
         gradient = backward(gradient, slope, w)
     return residual_function("neural", z, theta, [place @ y, place @ (gradient @ select)])
@@ -284,7 +290,8 @@ def _compiled_layer(w: Expression, b: Expression, x: Expression) -> tuple[Expres
     """As _layer, by neural_layer.c."""
     (rows, columns), dense = w.shape, ca.Sparsity.dense
     arguments = {"weight": dense(rows, columns), "bias": dense(rows), "x": dense(columns)}
-    sizes, results = {"ROWS": rows, "COLUMNS": columns}, {"value": dense(rows), "slope": dense(rows)}
+    sizes = {"ROWS": rows, "COLUMNS": columns}
+    results = {"value": dense(rows), "slope": dense(rows)}
     value, slope = handwritten(f"neural_layer_{rows}_{columns}", LAYER, sizes, arguments, results)(w, b, x)
     return value, slope
 
@@ -294,7 +301,8 @@ def _compiled_backward(gradient: Expression, slope: Expression, w: Expression) -
     (rows, columns), outputs, dense = w.shape, gradient.size1(), ca.Sparsity.dense
     sizes = {"OUTPUTS": outputs, "ROWS": rows, "COLUMNS": columns}
     arguments = {"gradient": dense(outputs, rows), "slope": dense(rows), "weight": dense(rows, columns)}
-    name, results = "_".join(map(str, ["neural_backward", *sizes.values()])), {"product": dense(outputs, columns)}
+    name = "_".join(map(str, ["neural_backward", *sizes.values()]))
+    results = {"product": dense(outputs, columns)}
     return handwritten(name, BACKWARD, sizes, arguments, results)(gradient, slope, w)
 
 

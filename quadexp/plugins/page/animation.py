@@ -161,8 +161,10 @@ class _Flown:
 
     def show(self, t: float) -> None:
         """Move everything to a time (s)."""
-        flight, k = self.flight, self.sample(t)
-        now, ended = slice(0, k + 1), t > flight["t"][-1] + 0.1
+        flight = self.flight
+        k = self.sample(t)
+        now = slice(0, k + 1)
+        ended = t > flight["t"][-1] + 0.1
         behind = slice(int(np.searchsorted(flight["t"], t - TRAIL)), k + 1)
         self.trail.set_data(flight["p_x"][behind], flight["p_y"][behind])
         self.vehicle.set_data(flight["p_x"][k : k + 1], flight["p_y"][k : k + 1])
@@ -189,7 +191,8 @@ class _Picture:
         look = looks(labels)
         self._flown = []
         for label, flight in zip(labels, flights, strict=True):
-            colour, error = look[label].colour, position_error(flight)
+            colour = look[label].colour
+            error = position_error(flight)
             of_all = f"mean {1e3 * error.mean():.3g} mm" if flight.outcome in COMPLETED else flight.outcome
             (trail,) = path.plot([], [], color=colour, linewidth=2)
             (vehicle,) = path.plot([], [], marker="o", markersize=5, color=colour, linestyle="none")
@@ -217,7 +220,8 @@ class _Picture:
             artist.set_animated(True)
         canvas: Any = FigureCanvasAgg(figure)
         canvas.draw()
-        self._canvas, self._ground = canvas, canvas.copy_from_bbox(figure.bbox)
+        self._canvas = canvas
+        self._ground = canvas.copy_from_bbox(figure.bbox)
 
     def frame(self, t: float) -> Image.Image:
         """The picture at a time (s)."""

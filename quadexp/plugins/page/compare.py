@@ -187,7 +187,8 @@ def _number_row(name: str, values: Sequence[float]) -> list[str]:
 # ------------------------------------------------------------------------------------------------ flights, checkpoints
 def _sides(sides: Sequence[Side], paths: Sequence[Path]) -> dict[str, Any]:
     """Settings and numbers beside each other; of two flights also the outcome and the distance between the paths."""
-    settings, names = differing(*(side.settings for side in sides)), names_of(paths)
+    settings = differing(*(side.settings for side in sides))
+    names = names_of(paths)
     metrics = {name: [side.numbers.get(name, math.nan) for side in sides] for side in sides for name in side.numbers}
     tables = [_setting_table(settings, names)] if settings else []
     tables.append(Table(["figure", *names], [_number_row(name, values) for name, values in metrics.items()]))
@@ -263,7 +264,8 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
     completed = [key for key, rows in cells.items() if all(map(is_flown, rows))]
     ended = {who: {(at, seed) for at, contestant, seed in completed if contestant == who} for who in labels}
     compared, shared = common(ended)
-    means, texts = {}, []
+    means = {}
+    texts = []
     for who, label in labels.items():
         kept = [cells[at, who, seed] for at, seed in sorted(shared, key=str)] if who in compared else []
         means[label] = [_mean([rows[i] for rows in kept], metric) for i in range(len(paths))]
@@ -333,7 +335,8 @@ def _contestants(
     cells: Mapping[Key, tuple[Row, ...]], labels: Mapping[Any, str], record: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
     """For each contestant: completed flights, means of a and b over those that it completed in both, b against a."""
-    metric, confidence = record.get("metric", "mean_error"), record.get("confidence", 0.95)
+    metric = record.get("metric", "mean_error")
+    confidence = record.get("confidence", 0.95)
     pooled: list[Statistic] = []
     records: list[dict[str, Any]] = []
     for contestant, label in labels.items():
@@ -362,7 +365,8 @@ def _contestants(
 def _metric_lines(metrics: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
     about = metric_of(metric)
     heading = [f"{about.title} ({about.unit})", "flown a", "flown b", "pairs", "seeds", "a", "b", "b - a", "ratio"]
-    rows, left_out = [], []
+    rows = []
+    left_out = []
     for record in metrics:
         ratio, low, high = (record[name] for name in ("ratio", "ratio_low", "ratio_high"))
         text = relative(ratio) + ("" if ratio == 0 or math.isnan(low) else f" [{low:+.3g}, {high:+.3g}]")

@@ -80,7 +80,8 @@ def _panels(view: View, size: tuple[float, float], most: int, room: float = 0, *
     """A figure and its grid of panels, each with its title, and what its marks are above them.
 
     size: of a panel (inches). most: panels across. room: inches beside the panels, for a legend. share: of axes."""
-    panels, without = view.panels[:MAX_PANELS], view.panels[MAX_PANELS:]
+    panels = view.panels[:MAX_PANELS]
+    without = view.panels[MAX_PANELS:]
     across, width = _across(view, size[0], most)
     down = math.ceil(len(panels) / across)
     each = min(size[1], 0.8 * width / across) if view.width else size[1]
@@ -111,7 +112,8 @@ def _across(view: View, size: float, most: int) -> tuple[int, float]:
 
 
 def _lines(view: View) -> Figure:
-    lines, look = view.lines(), looks_of(view)
+    lines = view.lines()
+    look = looks_of(view)
     labels = {line: label_of(view, line, view.names) for line in lines}
     size = max(3.1, 0.42 * len(view.x.values)) if view.x.kind == "group" else 3.1
     most = max(1, int(12.4 / size))
@@ -270,10 +272,8 @@ def _mark_gone(grid: Any, view: View, look: Mapping[Place, Look], labels: Mappin
         for panel, facet in zip(grid, view.panels, strict=False):
             gone = [(p[-1], point) for p, point in of_line.items() if p[:start] == facet and not point.is_shown]
             for value, point in gone:
-                at, edge = (
-                    (place_of(view.x, value, k, len(labels)), 0.97 - 0.055 * (k % 5)),
-                    panel.get_xaxis_transform(),
-                )
+                at = (place_of(view.x, value, k, len(labels)), 0.97 - 0.055 * (k % 5))
+                edge = panel.get_xaxis_transform()
                 panel.plot(*at, transform=edge, clip_on=False, **cross)
                 text = "invalid" if point.invalid else f"{point.ended}/{point.trials}"
                 beside = {"xytext": (5, 0), "textcoords": "offset points", "va": "center", "fontsize": 6.5}
@@ -311,9 +311,11 @@ def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Norma
         point = points[j][i]
         if point is None:
             continue
-        lines, colour = [f"{point.ended}/{point.trials}"] if point.ended < point.trials else [], "#444444"
+        lines = [f"{point.ended}/{point.trials}"] if point.ended < point.trials else []
+        colour = "#444444"
         if point.is_shown:
-            lines, colour = [significant(value), *lines], ("#FFFFFF" if norm(value) > DARK else "#000000")
+            lines = [significant(value), *lines]
+            colour = "#FFFFFF" if norm(value) > DARK else "#000000"
         else:
             lines = [*lines, "flown"] if lines else ["invalid"]
             hatch = Rectangle((i - 0.5, j - 0.5), 1, 1, fill=False, hatch="///", edgecolor="#CCCCCC", linewidth=0)
@@ -346,7 +348,8 @@ def page_of(view: View, title: str) -> str:
     rows = [{n: float(f"{v:.6g}") if isinstance(v, float) else v for n, v in row.items()} for row in shown]
     table = records_table(rows)
     heads = [f"{name} ({view.unit})" if name == view.y and view.unit else name for name in table.columns]
-    heading, notes = view.heading or title or view.y_label, (view.caption, *view.notes)
+    heading = view.heading or title or view.y_label
+    notes = (view.caption, *view.notes)
     figure = figure_html(figure_of(view), heading)
     return sortable_page(heading, replace(table, columns=heads), figures=[figure], notes=notes)
 

@@ -37,7 +37,8 @@ class Live:
 
     def progress_text(self) -> str:
         """How far it is, in a sentence; how long the rest will take at the rate so far, where that is known."""
-        count, flown = f"{self.done} of {self.total} flights", self.done - self.before
+        count = f"{self.done} of {self.total} flights"
+        flown = self.done - self.before
         if self.state != "running":
             return f"{count}, {self.state}"
         rest = f", about {clock(self.elapsed / flown * (self.total - self.done))} left" if flown > 0 else ""

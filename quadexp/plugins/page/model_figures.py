@@ -140,7 +140,9 @@ def _draw_fit(
     features = data.matrix(output.features)
     x, mean, std, line, median = curve(model, output, i, data)
     target, remainder = moved(model, output, i, data)
-    band, low, high = 2 * std, x[0], x[-1]
+    band = 2 * std
+    low = x[0]
+    high = x[-1]
     ends = low - 0.03 * (high - low), high + 0.03 * (high - low)
     inside = (features[:, i] >= low) & (features[:, i] <= high)  # beyond, the model extrapolates
     if not inside.any():
@@ -177,7 +179,8 @@ def _draw_fit(
 
 def _limits(values: np.ndarray) -> tuple[float, float]:
     """Vertical limits around the values, with a little air."""
-    low, high = float(np.min(values)), float(np.max(values))
+    low = float(np.min(values))
+    high = float(np.max(values))
     return low - 0.06 * (high - low), high + 0.06 * (high - low)
 
 

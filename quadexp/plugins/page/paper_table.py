@@ -51,7 +51,8 @@ def paper_table(
         return _named(replace(table, rows=table.rows[table.head :], head=0), names, metric)
     down, across = _chosen(frame, rows, columns)
     others = [key for key in frame.swept if key not in ("seed", *down, *across)]
-    keys, confidence = [*down, *across], float(frame.record.get("confidence", 0.95))
+    keys = [*down, *across]
+    confidence = float(frame.record.get("confidence", 0.95))
     points_of = points(frame, keys, metric, others=others, confidence=confidence)
     single = {} if metric == SUCCESS else _statistics(frame, keys, metric)
     factor, unit = shown(metric)
@@ -59,7 +60,8 @@ def paper_table(
         place: cell_text(factor, point, single.get(place), intervals, digits) for place, point in points_of.items()
     }
     n = len(down)
-    lines, heads = distinct(place[:n] for place in cells), distinct(place[n:] for place in cells)
+    lines = distinct(place[:n] for place in cells)
+    heads = distinct(place[n:] for place in cells)
     title = "share of completed flights" if metric == SUCCESS else metric_of(metric).title + f" ({unit})" * bool(unit)
     notes = [*(f"mean over {key}: {', '.join(map(str, frame.values(key)))}" for key in others)]
     if any(cell.endswith("*") for cell in cells.values()):
@@ -86,7 +88,8 @@ def _chosen(
 ) -> tuple[list[str], list[str]]:
     """Keys down and across. A swept setting of the controller that is in neither goes across, or else down: a mean over
     two controllers would be the error of neither."""
-    down, across = checked_keys(frame, rows or ()), checked_keys(frame, columns or ())
+    down = checked_keys(frame, rows or ())
+    across = checked_keys(frame, columns or ())
     twice = [key for key in (*down, *across) if (*down, *across).count(key) > 1]
     if twice:
         raise UsageError(f"{twice[0]}: stands twice among --rows and --columns")
@@ -139,7 +142,8 @@ def _named(table: Table, names: Mapping[str, str], metric: str) -> Table:
                 text = re.sub(whole, replacement.replace("\\", r"\\"), text)
         return text
 
-    n, notes = table.beside, [said(note) for note in table.notes]
+    n = table.beside
+    notes = [said(note) for note in table.notes]
     if any(re.search(r"\d/\d", cell) for row in table.rows for cell in row[n:]):
         notes.append("k/n: k of n flights were completed")
     columns = [said(text) for text in table.columns]

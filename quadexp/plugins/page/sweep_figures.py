@@ -51,7 +51,8 @@ def drawings(
 ) -> list[Drawing]:
     """The figures of these rows, the one that takes longest first. out: folder of the results. record: of the results,
     which says what was swept; without it the rows do, as far as they can."""
-    store, figures = CellStore(out), []
+    store = CellStore(out)
+    figures = []
     with contextlib.suppress(UsageError):  # no flight was completed
         for view in automatic(SweepFrame([*map(dict, rows)], out, record), metric, confidence):
             figures.append(Drawing(f"{metric.removesuffix('_error')}_error_{view.file_name}", _swept, (view,)))
@@ -133,7 +134,9 @@ class SweepFigures:
     """
 
     def __init__(self, out: str | Path, processes: Workers | None, metric: str, confidence: float) -> None:
-        self._out, self._processes, self._options = Path(out), processes, (metric, confidence)
+        self._out = Path(out)
+        self._processes = processes
+        self._options = (metric, confidence)
         self._asked: list[str] = []
         self._running: dict[str, Callable[[], None]] = {}
         self.failed: dict[str, str] = {}

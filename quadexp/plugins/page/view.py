@@ -72,7 +72,8 @@ def points(
     for place, numbers in places.items():
         rows = [frame.rows[i] for i in numbers]
         outcomes = Counter(row["outcome"] for row in rows if not is_invalid(row))
-        trials, completed = outcomes.total(), outcomes.pop("ok", 0)
+        trials = outcomes.total()
+        completed = outcomes.pop("ok", 0)
         point = Point(ended=completed, trials=trials, lost=outcomes, invalid="" if trials else str(rows[0]["cause"]))
         if y == SUCCESS:
             single = len({row["seed"] for row in rows}) == len(rows)
@@ -185,7 +186,8 @@ class View:
 
     def parts(self) -> dict[str, View]:
         """Name of a file -> the view of one panel, of which it is the heading."""
-        n, name = len(self.facet), f"{self.y}_{self.file_name}"
+        n = len(self.facet)
+        name = f"{self.y}_{self.file_name}"
         if not n:
             return {name: self}
         parts = {}
@@ -278,7 +280,8 @@ def view(
 
     Raises UsageError for a key that is none, a key that is given twice, or where nothing can be drawn.
     """
-    metrics, confidence = [*filter(is_metric, frame.names), SUCCESS], float(frame.record.get("confidence", 0.95))
+    metrics = [*filter(is_metric, frame.names), SUCCESS]
+    confidence = float(frame.record.get("confidence", 0.95))
     if y not in metrics:
         raise UsageError(f"--y {y}: no number of a flight{suggestion(y, metrics)}")
     if x is None and kind is None and not by and not facet:
@@ -298,7 +301,8 @@ def view(
             raise UsageError("--kind heat: needs two keys: one for --x, one for --by")
         who = [key for key in who if key not in given_by]
     elif by is None:
-        given_by, who = who, []
+        given_by = who
+        who = []
     given_facet += who
     if facet is None:
         given_facet += [key for key in free if key not in (*given_by, *given_facet) and key in _names(free)]
@@ -347,7 +351,8 @@ def _made(
         column = frame.controllers([*keys, *others]) if key == "controller" else frame.column(key)
         if key not in (*keys, *others) and len(set(column)) == 1 and column[0] is not None:
             alone[key] = column[0]
-    axes, notes = (tuple(by), tuple(facet), tuple(others)), tuple(_notes(frame, keys, others, y, places))
+    axes = (tuple(by), tuple(facet), tuple(others))
+    notes = tuple(_notes(frame, keys, others, y, places))
     return View(kind, y, Axis.of(x, values), *axes, confidence, notes, places, alone)
 
 

@@ -25,7 +25,8 @@ class Watch:
     """
 
     def __init__(self, out: Path, metric: str) -> None:
-        self.live, self.path = Live(title=str(out), metric=metric), out / FILE
+        self.live = Live(title=str(out), metric=metric)
+        self.path = out / FILE
         self._began = self._due = time.monotonic()
 
     def __enter__(self) -> Watch:

@@ -37,7 +37,8 @@ def adaptation_table(flights: Mapping[str, Mapping[str, Flight]]) -> str:
     lines = []
     for plant, by_controller in flights.items():
         for name, flight in by_controller.items():
-            t, error = flight.t - change_time(flight), 1e3 * position_error(flight)
+            t = flight.t - change_time(flight)
+            error = 1e3 * position_error(flight)
             cells = []
             for low, high in WINDOWS:
                 inside = error[(t >= low) & (t < high)]

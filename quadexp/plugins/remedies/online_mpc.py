@@ -96,20 +96,27 @@ class AdaptingController(PredictiveController):
     ) -> None:
         model = sum_residual([*known, adapting.residual])
         super().__init__(ModelPredictiveController(vehicle, model, settings, backend=backend))
-        self.adapting, self.adapt, self.reference_period = adapting, adapt, reference_period
+        self.adapting = adapting
+        self.adapt = adapt
+        self.reference_period = reference_period
         fixed = sum_residual(known) if known else None
         function = update_function(
             vehicle, adapting, fixed, Law(adapt.law, adapt.fitc), compiled=self.backend == "compiled"
         )
         self._update = BufferedFunction(realise(function, self.backend))
-        arguments, results = self._update.arguments, self._update.results
+        arguments = self._update.arguments
+        results = self._update.results
         period = self.control_period * adapt.every
         arguments["variance"][...], arguments["decay"][...] = adapt.noise**2, math.exp(-period / adapt.memory)
-        arguments["tracking"][...], arguments["tracking_rate"][...] = period * adapt.tracking, adapt.tracking_rate
+        arguments["tracking"][...] = period * adapt.tracking
+        arguments["tracking_rate"][...] = adapt.tracking_rate
         if fixed is not None:
             arguments["known_theta"][...] = fixed.theta
-        self._belief, self._new_belief = arguments["belief"], results["new_belief"]
-        self._given, self.theta, self.innovation = arguments, results["theta"], results["innovation"]
+        self._belief = arguments["belief"]
+        self._new_belief = results["new_belief"]
+        self._given = arguments
+        self.theta = results["theta"]
+        self.innovation = results["innovation"]
         self._all = model.theta.copy()
         self._weights = self._all[len(model.theta) - len(adapting.residual.theta) :]
         self._delivered = DeliveredThrust(vehicle, self.control_period, settings.dead_time, settings.known_lag)
@@ -126,7 +133,10 @@ class AdaptingController(PredictiveController):
     def forget(self) -> None:
         """See Controller.forget: back to the prior."""
         self._belief[...] = prior_belief(self.adapting)
-        self.theta[...], self.innovation[...], self.samples, self._wait = self.adapting.residual.theta, 0.0, 0, 0
+        self.theta[...] = self.adapting.residual.theta
+        self.innovation[...] = 0.0
+        self.samples = 0
+        self._wait = 0
         self._take()
 
     def reset(self, x: np.ndarray, window: Window) -> None:
@@ -140,7 +150,9 @@ class AdaptingController(PredictiveController):
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step; without an accelerometer reading the weights stay."""
-        step, arguments, delivered = super().control_step(inputs, state), self._given, self._delivered
+        step = super().control_step(inputs, state)
+        arguments = self._given
+        delivered = self._delivered
         path = arguments["path"]
         places = {"x": state, "f": inputs.specific_force, "u": delivered.thrust}
         learning = [*delivered.before(inputs), *(copy(arguments[name], place) for name, place in places.items())]
@@ -205,7 +217,8 @@ class OnlineMPC(PredictivePart):
                 has = "fitted signal variance" if name == "fit_prior" else "inducing points"
                 raise UsageError(f"controller.adapt.{name}: {last} has no {has}, a Gaussian process has")
         if last != "terms":
-            residual, checkpoint = context.residuals(self.residual)[-1], context.checkpoint(-1)
+            residual = context.residuals(self.residual)[-1]
+            checkpoint = context.checkpoint(-1)
             deviation = None if self.adapt.fit_prior else self.adapt.deviation
             adapting = checkpoint.adapting(context.vehicle, residual, deviation)
         else:

@@ -63,7 +63,8 @@ def tune(
     from quadexp.plugins.tune.call import HISTORY
     from quadexp.plugins.tune.call import tune as tuned_by
 
-    folder, asked = Scratch() if out is None else Path(out), request_of(Tune, keywords)
+    folder = Scratch() if out is None else Path(out)
+    asked = request_of(Tune, keywords)
     place: dict[str, Any] = {"out": Path(folder), "conf": conf, "force": force, "figure": out is not None}
     with progress_of("flights", progress) as shown:
         tuned = tuned_by(overrides(settings, keywords, lists=True), asked, **place, progress=shown)

@@ -158,7 +158,8 @@ def _short(value: Any) -> str:
 
 
 def _lines(search: Search, trials: Sequence[Trial], best: int) -> list[str]:
-    spent, (factor, unit) = len(trials) * search.flights, shown(search.request.metric)
+    spent = len(trials) * search.flights
+    (factor, unit) = shown(search.request.metric)
     lines = [f"{controller_name(search.config)}: {len(trials)} trials of {search.flights} flights, {spent} in all"]
     for what, worth in (("before", trials[0].worth), ("tuned ", trials[best].worth)):
         margin = f", delay margin {1e3 * worth.margin:.0f} ms" if np.isfinite(worth.margin) else ""
@@ -188,7 +189,8 @@ def fingerprint(trials: Sequence[Sequence[float]]) -> str:
 
 def _about(request: Request, search: Search, trials: Sequence[Trial], best: int) -> dict[str, Any]:
     """The provenance of an option. Nothing in it depends on time or machine."""
-    first, last = trials[0].worth, trials[best].worth
+    first = trials[0].worth
+    last = trials[best].worth
     return {
         "cells": [text for text in request.given if not text.startswith(("engine", "evaluate."))],
         "space": [axis.text() for axis in request.axes],

@@ -40,7 +40,8 @@ def worth(
     least_margin: float = 0.0,
 ) -> Worth:
     """The worth of a trial. rows: of its flights. durations: of their paths (s). margins: delay margins (s) found."""
-    costs, logs = [], []
+    costs = []
+    logs = []
     for row, duration in zip(rows, durations, strict=True):
         value = float(row[metric])
         if row["outcome"] == "ok" and math.isfinite(value):

@@ -52,7 +52,8 @@ def write_preset(
 
     options: see options_of. config: with the settings that were found. about: the provenance. name: of the option.
     """
-    controller, name = options["controller"], name or default_name(options)
+    controller = options["controller"]
+    name = name or default_name(options)
     changed = {
         group: _changed(record(getattr(composer.compose([f"{group}={option}"]), group)), record(getattr(config, group)))
         for group, option in options.items()
@@ -60,11 +61,13 @@ def write_preset(
     origin = [HEAD, *(_INDENT + line for line in _yaml(about, flow=False).splitlines())]
     title = f"{printable(controller)}, tuned by `quadexp tune`; see docs/tuning.md. Written by that command."
     if len(options) == 1:
-        head, path = [f"# {title}", *origin], out / "controller" / f"{name}.yaml"
+        head = [f"# {title}", *origin]
+        path = out / "controller" / f"{name}.yaml"
         content = {"defaults": [controller, "_self_"], "name": name, **changed["controller"]}
         choice = f"controller={name}"
     else:
-        head, path = ["# @package _global_", f"# For controller={title}", *origin], out / "remedies" / f"{name}.yaml"
+        head = ["# @package _global_", f"# For controller={title}", *origin]
+        path = out / "remedies" / f"{name}.yaml"
         around = [{f"override /{group}": options.get(group, "none")} for group in REMEDIES]
         content = {
             "defaults": [*around, "_self_"],

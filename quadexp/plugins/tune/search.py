@@ -115,8 +115,12 @@ class Search:
         function: CellFunction = evaluate_cell,
         isolate: bool = True,
     ) -> None:
-        self.request, self.store = request, CellStore(out)
-        self._composer, self._engine, self._function, self._isolate = composer, engine, function, isolate
+        self.request = request
+        self.store = CellStore(out)
+        self._composer = composer
+        self._engine = engine
+        self._function = function
+        self._isolate = isolate
         jobs = plan_cells(cells_of(composer, request.given))
         self._cells = [job.cell for job in jobs.values()]
         configs = [cell.config for cell in self._cells]
@@ -194,7 +198,8 @@ class Search:
 
     def _fly(self, numbers: Sequence[float], first: bool) -> Worth:
         """The worth of one trial; settings that contradict each other count as flights that were lost at the start."""
-        request, least = self.request, self.request.least_margin
+        request = self.request
+        least = self.request.least_margin
         texts = [*request.given, *overrides(request.axes, numbers)]
         cells = self._composer.expand(texts, check=False)
         try:

@@ -137,13 +137,17 @@ def _varied(name: str, config: Config) -> tuple[Axis, Any]:
     Raises UsageError where the name is of no number, nor of a list of them without zeros.
     """
     group, *parts = name.split(".")
-    key, letters, owner = name, "", getattr(config, group)
+    key = name
+    letters = ""
+    owner = getattr(config, group)
     value: Any = record(owner)
     for i, part in enumerate(parts):
         if isinstance(value, list) and i == len(parts) - 1 and part in _ENTRIES:
-            key, letters = name.rpartition(".")[0], part
+            key = name.rpartition(".")[0]
+            letters = part
         elif isinstance(value, dict) and part in value:
-            owner, value = owner if i == 0 else getattr(owner, parts[i - 1], None), value[part]
+            owner = owner if i == 0 else getattr(owner, parts[i - 1], None)
+            value = value[part]
         else:
             near = value if isinstance(value, dict) else ()
             hint = suggestion(name, [f"{'.'.join([group, *parts[:i]])}.{known}" for known in near])

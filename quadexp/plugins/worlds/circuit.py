@@ -112,7 +112,8 @@ def operating_point(
     symbol = type(guess).sym("V")
     gap = symbol - source + resistance * power_at(symbol) * (1 / symbol)
     slope = ca.jacobian(gap, symbol)
-    bend, slope = ca.jacobian(slope, symbol), ca.fmax(slope, LEAST_SLOPE)
+    bend = ca.jacobian(slope, symbol)
+    slope = ca.fmax(slope, LEAST_SLOPE)
     change = gap * slope / ca.fmax(slope**2 - gap * bend / 2, slope**2 / 2)  # at most twice Newton's
     voltage = ca.fmax(ca.substitute(symbol - change, symbol, guess), 1e-3)
     current = power_at(voltage) / voltage

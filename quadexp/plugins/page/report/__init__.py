@@ -51,7 +51,8 @@ def make_report(
     parts = {name: part for view in views for name, part in view.parts().items()} if figures else {}
     drawn = {name: figure_of(replace(part, width=COLUMN)) for name, part in parts.items()}
     paths = {name: Path(figures or "") / f"{file_name(name)}.pdf" for name in drawn}
-    answered, checked = answer(comparison), comparison.checked
+    answered = answer(comparison)
+    checked = comparison.checked
     return {
         "path": out,
         "bytes": len(page.encode()),

@@ -66,7 +66,8 @@ def _flown(comparison: Comparison) -> str:
 
 def _gain(comparison: Comparison) -> str:
     """Who has the least error, against the baseline and against a bound."""
-    verdict, metric = comparison.verdict, metric_of(comparison.metric).title
+    verdict = comparison.verdict
+    metric = metric_of(comparison.metric).title
     factor, unit = shown(comparison.metric)
     errors = {label: factor * comparison.geometric_mean(label) for label in comparison.order}
     errors = {label: error for label, error in errors.items() if math.isfinite(error)}
@@ -122,7 +123,9 @@ def _in_time(comparison: Comparison) -> str:
     label = comparison.rival or next(iter(comparison.order), None)
     if label is None or not math.isfinite(comparison.time(label)):
         return "No control step was timed."
-    median, tail, period = comparison.time(label), comparison.time(label, "p99"), comparison.period(label)
+    median = comparison.time(label)
+    tail = comparison.time(label, "p99")
+    period = comparison.period(label)
     base = comparison.reference
     beside = f"; {base}: {duration(comparison.time(base))}" if base and base != label else ""
     step = f"the control step of {label} takes {duration(median)} (median{beside})"
@@ -138,7 +141,8 @@ def _in_time(comparison: Comparison) -> str:
 
 def _sure(comparison: Comparison) -> str:
     """How far the gain can be trusted: what chance alone would do, and what other seeds would show."""
-    base, rival = comparison.reference, comparison.rival
+    base = comparison.reference
+    rival = comparison.rival
     pooled = comparison.overall.get(rival)
     if base is None or pooled is None or not pooled.pairs:
         flights = comparison.verdict.common
@@ -173,7 +177,8 @@ def odds(p: float) -> str:
 
 def _note(comparison: Comparison) -> str:
     """What the answer is averaged over, and what is not in it."""
-    verdict, (plant, vehicle) = comparison.verdict, comparison.world
+    verdict = comparison.verdict
+    (plant, vehicle) = comparison.world
     conditions = sum(condition.world == comparison.world for condition in comparison.conditions)
     seeds = count(len({row["seed"] for row in comparison.main_rows}), "seed")
     each = f", {verdict.common} flights each" if verdict.common else ""

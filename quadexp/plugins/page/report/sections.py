@@ -76,10 +76,12 @@ def scoreboard(comparison: Comparison) -> Table:
     """Every contestant in the main world: completed flights, error, difference to the baseline, computing time; by the
     share of completed flights, then by the error over the common flights."""
     factor, unit = shown(comparison.metric)
-    base, verdict = comparison.reference, comparison.verdict
+    base = comparison.reference
+    verdict = comparison.verdict
     lines: list[Any] = []
     for label in comparison.order:
-        pooled, flights = comparison.overall.get(label), comparison.success(label)
+        pooled = comparison.overall.get(label)
+        flights = comparison.success(label)
         mean, own_mean = (factor * comparison.geometric_mean(label, over_own=own_mean) for own_mean in (False, True))
         beyond = flights.ended > (verdict.common if mean == mean else 0)
         role = "best" if verdict.best and label == verdict.least else ""
@@ -121,7 +123,8 @@ def numbers(comparison: Comparison) -> Section:
 
 def _number_block(comparison: Comparison, metric: str) -> Block:
     """The error table, with the counts of completed flights in its heading, and the paired differences."""
-    statistics, marks = comparison.statistics.of(metric), comparison.look
+    statistics = comparison.statistics.of(metric)
+    marks = comparison.look
     options: Any = {"baseline": comparison.baseline, "confidence": comparison.confidence}
     table = error_table(comparison.rows, metric, **options)
     heads: list[Any] = [
@@ -166,8 +169,10 @@ def worst(comparison: Comparison, rows: Sequence[Mapping[str, Any]]) -> Section:
     )
     lines: list[Any] = []
     for row in rows:
-        label, flight = comparison.label(row), comparison.flight(row)
-        largest, when = "", ""
+        label = comparison.label(row)
+        flight = comparison.flight(row)
+        largest = ""
+        when = ""
         if flight is not None and "ref_p_x" in flight.columns:
             largest = f"{number(1e3 * row['max_error'])} mm"
             if "thinned" not in flight.metadata:

@@ -183,7 +183,8 @@ class Comparison:
         """Labels of the main world, by the share of completed flights, then by the error."""
 
         def place(label: str) -> tuple[float, bool, float]:
-            share, error = self.success(label).share, self.geometric_mean(label)
+            share = self.success(label).share
+            error = self.geometric_mean(label)
             return -share if share == share else 1.0, math.isnan(error), error
 
         return sorted(dict.fromkeys(map(self.label, self.main_rows)), key=place)

@@ -97,8 +97,10 @@ def blade_element_correction(
 
     z: features (6 + n,). theta: (5,). lift_scale: factor on every rotor's C_la, scalar or (n,). payload: kg.
     """
-    rotor, thrust_coefficient = vehicle.rotor_geometry, vehicle.static_thrust_coefficient
-    velocity, rate = z[:3], z[3:6] if rotor_local_velocity else None
+    rotor = vehicle.rotor_geometry
+    thrust_coefficient = vehicle.static_thrust_coefficient
+    velocity = z[:3]
+    rate = z[3:6] if rotor_local_velocity else None
     command = ca.fmax(z[6:], thrust_coefficient * rotor_speed_min**2)
     w = static_rotor_speed(command, thrust_coefficient)
     flow = rotor_flow(vehicle, velocity, rate)
@@ -112,7 +114,8 @@ def blade_element_correction(
     )
     acceleration = force / (vehicle.mass + payload) - along_z(ca.sum1(command) / vehicle.mass)
     y = ca.vertcat(acceleration, torque - ca.sparsify(ca.DM(vehicle.allocation[1:])) @ command)
-    dg_dz, slope = ca.jacobian(equation.value(induced), z), equation.slope(induced)
+    dg_dz = ca.jacobian(equation.value(induced), z)
+    slope = equation.slope(induced)
     d_induced = -(ca.diag(1 / slope) @ dg_dz)
     dy_dz = ca.jacobian(y, z) + ca.jacobian(y, induced) @ d_induced
     y, dy_dz = ca.substitute([y, dy_dz], [induced], [solution])
@@ -151,7 +154,8 @@ def fit_blade_element(
     function = _force_function(vehicle)
     first = np.r_[initial.parameters(), np.zeros(3)]
     spread = np.r_[PRIOR_SPREAD * np.maximum(np.abs(first[:5]), 1e-3), np.full(3, PRIOR_OFFSET)]
-    low, high = LIFT_RANGE[0] * first[C_LA], LIFT_RANGE[1] * first[C_LA]
+    low = LIFT_RANGE[0] * first[C_LA]
+    high = LIFT_RANGE[1] * first[C_LA]
 
     def at(c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Errors (k, 3) and X (k, 3, 8)."""
@@ -175,7 +179,8 @@ def fit_blade_element(
         slope = np.einsum("kai,ka->i", design, error) / noise**2 + (first - c) / spread**2
         step = np.linalg.solve(information, slope)
         size = float(np.sqrt(step @ information @ step))  # in standard errors
-        share, before = 1.0, cost(c, error, noise)
+        share = 1.0
+        before = cost(c, error, noise)
         for _ in range(20):
             tried = c + share * step
             tried[C_LA] = np.clip(tried[C_LA], low, high)
@@ -207,7 +212,8 @@ def _force_function(vehicle: Vehicle) -> ca.Function:
     equation = balance(vehicle.rotor_geometry, theta[C_LA], w, flow.in_plane_squared, flow.axial, ADOPTED)
     force, _ = aerodynamic_wrench(vehicle, theta, v, w, induced, terms=ADOPTED)
     slope = ca.jacobian(force, theta) + ca.jacobian(force, induced) @ equation.derivative(induced, theta)
-    results, solution = [force / vehicle.mass, ca.densify(slope) / vehicle.mass], safe_newton(equation, SAFE_ITERATIONS)
+    results = [force / vehicle.mass, ca.densify(slope) / vehicle.mass]
+    solution = safe_newton(equation, SAFE_ITERATIONS)
     return ca.Function("specific_force", [v, w, theta], ca.cse(ca.substitute(results, [induced], [solution])))
 
 
@@ -284,21 +290,26 @@ def identify_flight(
     rotors = [f"rotor_speed_{i}" for i in range(vehicle.n_rotors)]
     name = name or str(flight.metadata.get("name", "flight"))
     check_columns(flight, name, [*rotors, *READINGS, *STATE_COLUMNS], first=1)
-    speed, force, velocity = flight.stack(rotors)[1:], flight.stack(READINGS)[1:], flight.air_velocity[1:]
+    speed = flight.stack(rotors)[1:]
+    force = flight.stack(READINGS)[1:]
+    velocity = flight.air_velocity[1:]
 
     estimator = BladeElementRLS(vehicle, FIRST_VALUES, settings or OFFLINE)
     theta, raw, standard_error = np.empty((3, len(speed), len(THETA)))
     error = np.full((len(speed), 3), np.nan)
     for k in range(len(speed)):
         theta[k] = estimator.update(velocity[k], speed[k], force[k])
-        raw[k], standard_error[k], error[k] = estimator.raw, estimator.standard_error(), estimator.error
+        raw[k] = estimator.raw
+        standard_error[k] = estimator.standard_error()
+        error[k] = estimator.error
     if estimator.samples == 0:
         raise DataError(f"{name}: the rotors do not turn in this flight, nothing can be identified")
     noise = float(np.sqrt(np.nanmean(error[len(error) // 2 :] ** 2)))
     standard_error *= noise / estimator.settings.noise
     turning = speed.min(axis=1) >= SLOWEST
     stretch = np.asarray(flight.columns.get("segment", np.zeros(len(flight))))[1:]
-    fit, note = None, ""
+    fit = None
+    note = ""
     try:
         fit = fit_blade_element(
             vehicle, velocity[turning], speed[turning], force[turning], FIRST_VALUES,

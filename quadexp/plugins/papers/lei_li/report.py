@@ -199,7 +199,8 @@ def induced_velocity_figure(flight: Flight, title: str) -> Figure:
 @styled
 def parameter_figure(flights: Sequence[Flight], title: str) -> Figure:
     """Coefficients in use over time, every seed a thin line and their mean a thick one, the truth dashed."""
-    truth, samples = _truth(flights[0]), min(len(flight) for flight in flights)
+    truth = _truth(flights[0])
+    samples = min(len(flight) for flight in flights)
     t = flights[0].t[:samples]
     figure = Figure(figsize=(11.0, 5.2))
     *panels, beside = figure.subplots(2, 3, sharex=True).flat

@@ -52,7 +52,8 @@ from quadexp.physics.vehicle import Vehicle
 SLOWEST = 1.0  # rad/s; samples with a slower rotor are skipped (the advance ratio is not defined there)
 AXES = ((C_D0, C_LA, C_DX), (C_D0, C_LA, C_DY), (C_LA, C_DZ))  # coefficients that the force along x, y, z depends on
 INNOVATION_SAMPLES = 10  # time constant, in samples, of the mean square error
-FIRST_WAIT, NEXT_WAIT = 100, 50  # samples without change detection: at the start, and after a detected change
+FIRST_WAIT = 100  # samples without change detection at the start
+NEXT_WAIT = 50  # the same after a detected change
 ITERATIONS = 16  # of the safeguarded Newton method, from its upper bound
 
 
@@ -86,10 +87,14 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
         [regressors, gain_regressors], [induced], [safe_newton(equation, ITERATIONS)]
     )
 
-    new_thetas, new_covariances, errors = [], [], []
+    new_thetas = []
+    new_covariances = []
+    errors = []
     for axis, at in enumerate(AXES):
-        phi, direction = regressors[axis, at].T, gain_regressors[axis, at].T
-        theta, P = thetas[axis], covariances[axis]
+        phi = regressors[axis, at].T
+        direction = gain_regressors[axis, at].T
+        theta = thetas[axis]
+        P = covariances[axis]
         kept = forgetting * ca.DM.eye(len(at)) + (1 - forgetting) * P / ca.repmat(priors[axis], 1, len(at))
         P = P @ ca.inv_minor(kept)
         P = (P + P.T) / 2
@@ -166,7 +171,8 @@ class Identification(RLSSettings, BladeKeys):
 
     def update(self, vehicle: Vehicle) -> ca.Function:
         """See update_function."""
-        first, settings = part(BladeCoefficients, self), part(RLSSettings, self)
+        first = part(BladeCoefficients, self)
+        settings = part(RLSSettings, self)
         return update_function(vehicle, first, settings, self.change_threshold)
 
 
@@ -183,7 +189,9 @@ class BladeElementRLS:
         change_threshold: float | None = None, *, backend: str = "interpreted",
     ) -> None:  # fmt: skip
         _ = vehicle.rotor_geometry, vehicle.static_thrust_coefficient  # UsageError where the vehicle has none
-        self.vehicle, self.initial, self.settings = vehicle, initial, settings or RLSSettings()
+        self.vehicle = vehicle
+        self.initial = initial
+        self.settings = settings or RLSSettings()
         if not (np.isfinite(initial.parameters()).all() and min(initial.parameters()[:2]) > 0):
             raise UsageError("rls: the initial values of C_d0 and C_la must be positive")
         function = update_function(vehicle, initial, self.settings, change_threshold)
@@ -206,7 +214,9 @@ class BladeElementRLS:
         """
         arguments = self._update.arguments
         v, w, y = (arguments[name] for name in ("v", "w", "y"))
-        v[...], w[...], y[...] = body_velocity, rotor_speed, specific_force
+        v[...] = body_velocity
+        w[...] = rotor_speed
+        y[...] = specific_force
         self._update()
         self.memory.commit()
         return self.theta
@@ -275,7 +285,8 @@ class BladeElementRLS:
     def standard_error(self) -> np.ndarray:
         """Standard errors of `raw`, (5,), where the readings have the assumed deviation."""
         P_x, P_y, P_z = self.covariance
-        b, c = self.weight, self.settings.lift_weight
+        b = self.weight
+        c = self.settings.lift_weight
         horizontal = b**2 * P_x + (1 - b) ** 2 * P_y
         lift = c**2 * P_z[0, 0] + (1 - c) ** 2 * horizontal[1, 1]
         variance = [horizontal[0, 0], lift, P_x[2, 2], P_y[2, 2], P_z[1, 1]]
@@ -321,10 +332,8 @@ def update_function(
     kept = {name: a[NOW + name] for name in start}
     arguments: dict[str, Any] = {name: a[name] for name in ("v", "w", "y")} | {"used": kept["used"]}
     for axis, at in zip("xyz", AXES, strict=True):
-        arguments[f"theta_{axis}"], arguments[f"P_{axis}"] = (
-            kept[f"theta_{axis}"],
-            ca.reshape(kept[f"P_{axis}"], len(at), -1),
-        )
+        arguments[f"theta_{axis}"] = kept[f"theta_{axis}"]
+        arguments[f"P_{axis}"] = ca.reshape(kept[f"P_{axis}"], len(at), -1)
         arguments[f"prior_{axis}"] = spread(initial, settings, at)
     arguments |= {"sigma": settings.noise, "forgetting": settings.forgetting, "lift_weight": settings.lift_weight}
     step = rls_step_function(vehicle, gauss_newton=settings.gauss_newton).call(arguments)

@@ -45,7 +45,8 @@ class IdentifyingController(PredictiveController):
 
     def __init__(self, mpc: ModelPredictiveController, rls: Identification, reference_period: float) -> None:
         super().__init__(mpc)
-        self.rls, self.reference_period = rls, reference_period
+        self.rls = rls
+        self.reference_period = reference_period
         self._believed = mpc.residual
         self._identify = cached_function(mpc.backend, in_flight, rls, mpc.vehicle)
         self.memory = Memory("Identification", sizes_of([self._identify]) | {"sent": mpc.vehicle.n_rotors})
@@ -82,7 +83,8 @@ class IdentifyingController(PredictiveController):
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step."""
-        step, kept = super().control_step(inputs, state), self.memory.of_next
+        step = super().control_step(inputs, state)
+        kept = self.memory.of_next
         clips = np.zeros(1)
         identify = call(connected(self._identify, places_of(inputs, state), {"clips": clips}, self.memory))
         calls = [identify, copy(self.mpc.parameters.reshape(-1), kept["used"])]

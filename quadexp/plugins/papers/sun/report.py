@@ -40,7 +40,8 @@ from quadexp.report.paper_cells import Point
 from quadexp.report.style import Figure
 from quadexp.report.table import Table
 
-MASS, THRUST = 0.75, 4 * 8.5  # kg, N, of the vehicle
+MASS = 0.75  # kg, of the vehicle
+THRUST = 4 * 8.5  # N, likewise
 DEFAULTS = {"acceleration": 20.0, "ratio": 1.0}  # of an ellipse, where a sweep does not vary it
 OFF = 2.0  # m of RMSE; a flight that is further off is not flown, although it stays inside the box
 RECORDED_AFTER = 2 / 500  # s: the first instant of their simulation not before the end of a period of 1/300 s
@@ -70,7 +71,8 @@ TITLES = {
 }
 WEAKER = {"sun_mass_30": (1.3, 1.0), "sun_ct_minus_30": (1.0, 0.7)}  # world -> factors on mass and on thrust
 INFEASIBLE_SET = "sun_baseline, infeasible"  # as a world: the ideal case of the infeasible ellipses
-OURS, KNOWN_AGE = "sun_mpc", "+strapdown"  # the controller others are compared with; late rows have it, others need not
+OURS = "sun_mpc"  # the controller others are compared with
+KNOWN_AGE = "+strapdown"  # late rows have it, others need not
 SENSOR = ",sensor="  # behind a world's name: sensors that are not exact
 PUBLISHED = ("sun_nmpc", "sun_dfbc", "sun_nmpc+indi", "sun_dfbc+indi")
 
@@ -252,7 +254,8 @@ def overview(rows: Iterable[Row]) -> Table:
 
 
 def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
-    printed, lines = published(), []
+    printed = published()
+    lines = []
     verdicts: dict[str, list[str]] = {"true position": [], "as logged": []}
     for world, ours in worlds.items():
         errors = [_with_sd(ours.position, 3), _with_sd(ours.logged, 3), _with_sd(ours.heading, 1)]
@@ -307,7 +310,8 @@ def _apart(name: str, worlds: Mapping[str, Condition]) -> list[str]:
         if condition.possible < condition.flights
     ]
     if INFEASIBLE_SET in worlds and name in INFEASIBLE:
-        ours, (position, heading) = worlds[INFEASIBLE_SET], INFEASIBLE[name]
+        ours = worlds[INFEASIBLE_SET]
+        (position, heading) = INFEASIBLE[name]
         lines.append(
             f"Infeasible ellipses, flights that did not crash: {ours.survivors:.3f} m, {ours.survivors_heading:.1f}"
             f" degrees; printed {position:.2f} m, {heading:.1f} degrees"

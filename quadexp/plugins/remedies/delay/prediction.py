@@ -91,14 +91,16 @@ class Prediction(KnownDelay):
 
     def before(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """The prediction. Until `time` has passed since the start, the measured state is that of the start."""
-        about, residual = inputs.about, inputs.residual or no_residual(vehicle)
+        about = inputs.about
+        residual = inputs.residual or no_residual(vehicle)
         if not (parts := self._parts(about)):
             return {}
         elapsed = memory.since * about.period
         late = ca.fmin(self.time, elapsed)
         begun = self._times(about, parts, self.time)
         times = ca.if_else(elapsed < self.time, self._times(about, parts, late), begun, True)
-        dt, weights = times[:parts], ca.reshape(times[parts:], -1, parts)
+        dt = times[:parts]
+        weights = ca.reshape(times[parts:], -1, parts)
         commands = ca.vertcat(memory.commands[vehicle.n_rotors :], memory.sent)
         force, torque, wind, scale, _ = ca.vertsplit(memory.believed, [0, 3, 6, 9, 10, 11])
         push = ca.vertcat(force / vehicle.mass, ca.inv(ca.DM(vehicle.inertia_matrix)) @ torque)

@@ -54,11 +54,13 @@ class Strapdown(KnownDelay):
     def before(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """The propagation. Until `time` has passed since the start, the measured state is that of the start; the first
         force that is read counts for those before it, and where none is read the last one goes on."""
-        periods, read = self._periods(inputs), inputs.fresh[0]
+        periods = self._periods(inputs)
+        read = inputs.fresh[0]
         if not periods:
             return {}
         weight = ca.DM([0, 0, vehicle.gravity])
-        rate, force = inputs.state[RATE], ca.if_else(read, inputs.specific_force, memory.forces[-3:])
+        rate = inputs.state[RATE]
+        force = ca.if_else(read, inputs.specific_force, memory.forces[-3:])
         flown = ca.fmax(memory.flown, read)
         begins = ca.logic_and(read, ca.logic_not(memory.read))
         rates = ca.if_else(flown, _shifted(memory.rates, rate), _filled(rate, periods))
@@ -97,7 +99,9 @@ def propagation(periods: int, gravity: float, period: float) -> ca.Function:
     now; late, at most K periods. Output: now (13,), with the rate of now.
     """
     x, late, rates, forces = symbols(ca.SX, x=N_STATE, late=1, rates=(3, periods + 1), forces=(3, periods + 1))
-    p, q, v = x[POSITION], x[ATTITUDE], x[VELOCITY]
+    p = x[POSITION]
+    q = x[ATTITUDE]
+    v = x[VELOCITY]
     for j in range(periods):
         h = ca.fmax(ca.fmin(late - (periods - 1 - j) * period, period), 0)
         before = 1 - h / period  # share of the period that is older than the state

@@ -66,7 +66,8 @@ def torque_update(
     inertia = ca.DM(vehicle.inertia_matrix)
     known = vehicle.allocation[1:] @ mean + air_torque - ca.cross(w, inertia @ w)
     predicted = s[:3] + period * (ca.inv(inertia) @ known + s[3:])
-    error, limit = w - predicted, settings[2]
+    error = w - predicted
+    limit = settings[2]
     spin = limited(s[3:] + settings[1] * error, -limit, limit)
     return ca.vertcat(predicted + settings[0] * error, spin), inertia @ spin
 
@@ -102,7 +103,8 @@ def scaled_force_update(
     P = P + ca.diag(ca.vertcat(walks[0], walks[0], walks))
     H = ca.horzcat(ca.DM.eye(3), h, g)
     S = H @ P @ H.T + noise * ca.DM.eye(3)
-    inverted, error = inverse(S), y - H @ estimate
+    inverted = inverse(S)
+    error = y - H @ estimate
     surprise = error.T @ inverted @ error
     trust = ca.fmin(1, SURPRISE / ca.sqrt(surprise + 1e-12))
     K = read * (ca.diag(ca.vertcat(1, 1, 1, trust, trust)) @ P @ H.T @ inverted)

@@ -89,7 +89,8 @@ class ObserverPart(LayerPart):
     def before(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """The update, from the first reading on."""
         air = inputs.residual or no_residual(vehicle)
-        read, flown = inputs.fresh[0], ca.fmax(memory.flown, inputs.fresh[0])
+        read = inputs.fresh[0]
+        flown = ca.fmax(memory.flown, inputs.fresh[0])
         known = inputs.state, inputs.specific_force, read, inputs.delivered, inputs.mean, inputs.theta
         update = self.update(vehicle, air, inputs.about)
         estimate, belief = update(memory.estimate, *known, ca.DM(self.settings(inputs.period)))
@@ -132,7 +133,8 @@ class ObservingMPC(WrappedController):
 
     def __init__(self, wrapped: PredictiveController, part: ObserverPart, about: Circumstances) -> None:
         super().__init__(wrapped)
-        self.part, self.finds_torque = part, part.torque_bandwidth > 0
+        self.part = part
+        self.finds_torque = part.torque_bandwidth > 0
         wrapped.targets = part.targets
         function = part.update(wrapped.vehicle, air_of(wrapped), about)
         estimator = Estimator(function, part.settings(about.period), about.delays)

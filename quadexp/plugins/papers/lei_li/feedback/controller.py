@@ -133,7 +133,8 @@ class Feedback(FeedbackSettings, Law):
                 raise UsageError(
                     f"{self.name}: knows the plant's blade-element coefficients; plant=blade_element has them"
                 )
-            places, source = {"coefficients": context.plant.coefficients.parameters()}, "plant equations"
+            places = {"coefficients": context.plant.coefficients.parameters()}
+            source = "plant equations"
         controller = self.controller(context.vehicle, places=places)
         controller.residual_name = "thrust_map" if self.compensates.parameters == "none" else "blade_element"
         controller.source = source
