@@ -59,7 +59,7 @@ from quadexp.physics.state import STATE_COLUMNS, root_mean_square
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.logs.samples import READINGS, check_columns
 from quadexp.plugins.papers.lei_li.rls import ITERATIONS as SAFE_ITERATIONS
-from quadexp.plugins.papers.lei_li.rls import SLOWEST, BladeElementRLS, RLSSettings
+from quadexp.plugins.papers.lei_li.rls import SLOWEST, RLSSettings, recursion, standard_errors
 
 ITERATIONS = 4  # Newton steps; three reach 1e-9 m/s in cruise, idling rotors and steep descents need a fourth
 
@@ -294,18 +294,13 @@ def identify_flight(
     force = flight.stack(READINGS)[1:]
     velocity = flight.air_velocity[1:]
 
-    estimator = BladeElementRLS(vehicle, FIRST_VALUES, settings or OFFLINE)
-    theta, raw, standard_error = np.empty((3, len(speed), len(THETA)))
-    error = np.full((len(speed), 3), np.nan)
-    for k in range(len(speed)):
-        theta[k] = estimator.update(velocity[k], speed[k], force[k])
-        raw[k] = estimator.raw
-        standard_error[k] = estimator.standard_error()
-        error[k] = estimator.error
-    if estimator.samples == 0:
+    settings = settings or OFFLINE
+    kept = recursion(vehicle, FIRST_VALUES, settings, {"v": velocity, "w": speed, "y": force})
+    if not kept["samples"][-1, 0]:
         raise DataError(f"{name}: the rotors do not turn in this flight, nothing can be identified")
+    error = kept["error"]
     noise = float(np.sqrt(np.nanmean(error[len(error) // 2 :] ** 2)))
-    standard_error *= noise / estimator.settings.noise
+    standard_error = standard_errors(kept, settings) * noise / settings.noise
     turning = speed.min(axis=1) >= SLOWEST
     stretch = np.asarray(flight.columns.get("segment", np.zeros(len(flight))))[1:]
     fit = None
@@ -317,7 +312,8 @@ def identify_flight(
         )  # fmt: skip
     except DataError as reason:
         note = str(reason)
+    clips = kept["clips"][-1].astype(int)
+    skipped = int(kept["skipped"][-1, 0])
     return Identification(
-        name, flight.t[1:], theta, raw, standard_error, error, noise,
-        estimator.clips.copy(), estimator.skipped, fit, note,
-    )  # fmt: skip
+        name, flight.t[1:], kept["used"], kept["raw"], standard_error, error, noise, clips, skipped, fit, note
+    )

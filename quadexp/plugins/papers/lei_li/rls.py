@@ -23,7 +23,7 @@ well; with gauss_newton the gain is taken from the whole derivative
 
 which removes the bias of C_Dz that results from the partial derivative (and not from the accelerometer's bias).
 
-The step is one CasADi function; `BladeElementRLS` holds the state of the three estimators and clips the values that a
+The step is one CasADi function; `update_function` holds what the three estimators know and clips the values that a
 controller uses: with the paper's P_0 = 50 I and unit noise C_d0 crosses zero while the rotors spin up in nearly half of
 all flights, and the allocation divides by it. Only the values in use are clipped, and every clip is counted; the
 estimators are not affected. With P_0 scaled to the coefficients and the accelerometer's noise (`RLSSettings.scaled`)
@@ -32,16 +32,14 @@ clipping is rarely needed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import realise, resolve
-from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
+from quadexp.compile.memory import NEXT, NOW
 from quadexp.compile.symbolic import ca
-from quadexp.errors import UsageError
 from quadexp.parts.settings import Settings, key, keyed, part
 from quadexp.physics.blade_element import ADOPTED, aerodynamic_wrench, rotor_flow
 from quadexp.physics.expression import Expression, limited, named_function, named_symbols, symbols
@@ -176,121 +174,32 @@ class Identification(RLSSettings, BladeKeys):
         return update_function(vehicle, first, settings, self.change_threshold)
 
 
-class BladeElementRLS:
-    """Estimator of theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz): `update` at every sample, `reset` at the start of a flight.
+def recursion(
+    vehicle: Vehicle, initial: BladeCoefficients, settings: RLSSettings, samples: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """All samples of a flight, one after another; name -> what is `remembered` after each, and its `error` (k, 3),
+    (k, size) each.
 
-    vehicle: with rotor and thrust coefficient. initial: theta_0 (the paper starts from half of the true values).
-    change_threshold: detects a change of the vehicle: where the mean square error over the last samples exceeds that of
-    the assumed noise by this factor, P = P_0 again. None: never. memory: see `remembered`, what it knows by name.
+    samples: v (k, 3), w (k, n), y (k, 3), see rls_step_function; finite. initial: theta_0 (the paper starts from half
+    of the true values).
     """
+    begin = {NOW + name: value for name, value in remembered(initial, settings).items()}
+    function = update_function(vehicle, initial, settings)
+    count = len(samples["v"])
+    every = function.mapaccum("rls", count, list(begin), [name.replace(NOW, NEXT, 1) for name in begin])
+    results = every.call(begin | {name: values.T for name, values in samples.items()} | {"read": np.ones((1, count))})
+    return {name.removeprefix(NEXT): np.array(values).reshape(-1, count).T for name, values in results.items()}
 
-    def __init__(
-        self, vehicle: Vehicle, initial: BladeCoefficients, settings: RLSSettings | None = None,
-        change_threshold: float | None = None, *, backend: str = "interpreted",
-    ) -> None:  # fmt: skip
-        _ = vehicle.rotor_geometry, vehicle.static_thrust_coefficient  # UsageError where the vehicle has none
-        self.vehicle = vehicle
-        self.initial = initial
-        self.settings = settings or RLSSettings()
-        if not (np.isfinite(initial.parameters()).all() and min(initial.parameters()[:2]) > 0):
-            raise UsageError("rls: the initial values of C_d0 and C_la must be positive")
-        function = update_function(vehicle, initial, self.settings, change_threshold)
-        self.memory = Memory("RLS", sizes_of([function]))
-        self._update = connected(realise(function, resolve(backend)), {"read": np.ones(1)}, {}, self.memory)
-        self.lower, self.upper = bounds(initial, self.settings)
-        self.reset()
 
-    def reset(self) -> None:
-        """Restart from the initial values."""
-        self.memory.begin(remembered(self.initial, self.settings))
-        for name in ("error", "regressors", "induced"):
-            self._update.results[name][...] = np.nan
-
-    def update(self, body_velocity: np.ndarray, rotor_speed: np.ndarray, specific_force: np.ndarray) -> np.ndarray:
-        """Update with one sample; returns the values to use, (5,).
-
-        body_velocity: (3,) FLU (m/s). rotor_speed: (n,) (rad/s). specific_force: reading (3,) FLU (m/s^2). All at the
-        same instant, and finite.
-        """
-        arguments = self._update.arguments
-        v, w, y = (arguments[name] for name in ("v", "w", "y"))
-        v[...] = body_velocity
-        w[...] = rotor_speed
-        y[...] = specific_force
-        self._update()
-        self.memory.commit()
-        return self.theta
-
-    @property
-    def theta(self) -> np.ndarray:
-        """Values to use, clipped, (5,)."""
-        return self.memory.of_now["used"].copy()
-
-    @property
-    def raw(self) -> np.ndarray:
-        """Not clipped, (5,)."""
-        return self.memory.of_now["raw"].copy()
-
-    @property
-    def clips(self) -> np.ndarray:
-        """Number of samples on which each was clipped, (5,)."""
-        return self.memory.of_now["clips"].astype(int)
-
-    @property
-    def samples(self) -> int:
-        """Number of updates."""
-        return int(self.memory.of_now["samples"][0])
-
-    @property
-    def skipped(self) -> int:
-        """Number of samples with a stopped rotor."""
-        return int(self.memory.of_now["skipped"][0])
-
-    @property
-    def weight(self) -> float:
-        """beta_x of the last sample."""
-        return float(self.memory.of_now["weight"][0])
-
-    @property
-    def error(self) -> np.ndarray:
-        """Of the last sample, before the update, (3,) (m/s^2)."""
-        return self._update.results["error"].copy()
-
-    @property
-    def regressors(self) -> np.ndarray:
-        """Of the last sample, (3, 5) (m/s^2)."""
-        return self._update.results["regressors"].T.copy()
-
-    @property
-    def induced_velocity(self) -> np.ndarray:
-        """Of the last sample, (n,) (m/s)."""
-        return self._update.results["induced"].copy()
-
-    @property
-    def coefficients(self) -> BladeCoefficients:
-        """The values to use."""
-        return BladeCoefficients.from_parameters(self.theta)
-
-    @property
-    def axis_theta(self) -> tuple[np.ndarray, ...]:
-        """Estimates of the axes: x (C_d0, C_la, C_Dx), y (C_d0, C_la, C_Dy), z (C_la, C_Dz)."""
-        return tuple(self.memory.of_now[f"theta_{axis}"].copy() for axis in "xyz")
-
-    @property
-    def covariance(self) -> tuple[np.ndarray, ...]:
-        """P of the axes, in the order of `axis_theta`: the estimates' covariance where sigma is the true noise."""
-        kept = self.memory.of_now
-        return tuple(kept[f"P_{axis}"].reshape(len(at), len(at)).copy() for axis, at in zip("xyz", AXES, strict=True))
-
-    def standard_error(self) -> np.ndarray:
-        """Standard errors of `raw`, (5,), where the readings have the assumed deviation."""
-        P_x, P_y, P_z = self.covariance
-        b = self.weight
-        c = self.settings.lift_weight
-        horizontal = b**2 * P_x + (1 - b) ** 2 * P_y
-        lift = c**2 * P_z[0, 0] + (1 - c) ** 2 * horizontal[1, 1]
-        variance = [horizontal[0, 0], lift, P_x[2, 2], P_y[2, 2], P_z[1, 1]]
-        return np.sqrt(np.maximum(variance, 0.0))
+def standard_errors(kept: Mapping[str, np.ndarray], settings: RLSSettings) -> np.ndarray:
+    """Standard errors of `raw`, (k, 5), where the readings have the assumed deviation. kept: of `recursion`."""
+    P_x, P_y, P_z = (kept[f"P_{axis}"].reshape(-1, len(at), len(at)) for axis, at in zip("xyz", AXES, strict=True))
+    b = kept["weight"][:, :, None]
+    c = settings.lift_weight
+    horizontal = b**2 * P_x + (1 - b) ** 2 * P_y
+    lift = c**2 * P_z[:, 0, 0] + (1 - c) ** 2 * horizontal[:, 1, 1]
+    variance = np.stack([horizontal[:, 0, 0], lift, P_x[:, 2, 2], P_y[:, 2, 2], P_z[:, 1, 1]], axis=1)
+    return np.sqrt(np.maximum(variance, 0.0))
 
 
 def bounds(initial: BladeCoefficients, settings: RLSSettings) -> tuple[np.ndarray, np.ndarray]:
