@@ -162,8 +162,10 @@ def versions_text(record: Mapping[str, Any]) -> str:
     """What flew it, a line each."""
     provenance = record.get("provenance", {})
     git = provenance.get("git") or {}
-    lines = [f"{flown['cells']} flights: quadexp {flown['program']}, sources {flown['sources']}, {flown['libraries']}"
-             for flown in record.get("flown_by", ())]  # fmt: skip
+    lines = [
+        f"{flown['cells']} flights: quadexp {flown['program']}, sources {flown['sources']}, {flown['libraries']}"
+        for flown in record.get("flown_by", ())
+    ]
     if git:
         lines.append(f"commit {git['commit']}" + (" with changes" if git.get("dirty") else ""))
     lines += [f"{name} {provenance[name]}" for name in ("platform", "cpu", "created") if name in provenance]

@@ -196,9 +196,12 @@ def _departure(e: float, f: float, version: tuple[int, ...]) -> float:
 
 
 PX4_SIH = Target(
-    "px4_sih", px4_sih, ".params", "Parameters for PX4's simulation SIH (QGroundControl's format)",
+    "px4_sih",
+    px4_sih,
+    ".params",
+    "Parameters for PX4's simulation SIH (QGroundControl's format)",
     frozenset({"voltage", "motor_lag"}),
-)  # fmt: skip
+)
 ARDUPILOT = Target("ardupilot", ardupilot, ".param", "Parameters for ArduCopter", frozenset({"voltage"}))
 BETAFLIGHT = Target(
     "betaflight", betaflight, ".txt", "Lines for Betaflight's command line", frozenset({"voltage", "firmware"})

@@ -79,9 +79,14 @@ def sdf(known: Known, firmware: str | None, path: Path) -> Written:
     for position in np.array(vehicle.rotor_position, float):
         base_inertia -= ROTOR_INERTIA + rotor_mass * (position @ position * np.eye(3) - np.outer(position, position))
     text = filled(
-        "model.sdf", known, numbers, rotor_mass=rotor_mass, rotor_inertia=ROTOR_INERTIA, base_inertia=base_inertia,
+        "model.sdf",
+        known,
+        numbers,
+        rotor_mass=rotor_mass,
+        rotor_inertia=ROTOR_INERTIA,
+        base_inertia=base_inertia,
         base_mass=vehicle.mass - vehicle.n_rotors * rotor_mass,
-    )  # fmt: skip
+    )
     lost += [
         "drag along z, of the body (|v| v), translational lift: the motor model has none",
         "rollingMomentCoefficient: not identified, 0 (and there it acts along the velocity, not across it)",

@@ -50,9 +50,15 @@ class Target:
     comment: tuple[str, str, str] = ("", "# ", "")
 
     def __call__(
-        self, source: str, *, out: Path | None = None, conf: Folders = None, vehicle: str | None = None,
-        force: bool = False, **options: Any,
-    ) -> tuple[dict[str, Path], dict[str, Any], list[str]]:  # fmt: skip
+        self,
+        source: str,
+        *,
+        out: Path | None = None,
+        conf: Folders = None,
+        vehicle: str | None = None,
+        force: bool = False,
+        **options: Any,
+    ) -> tuple[dict[str, Path], dict[str, Any], list[str]]:
         """Write the file of a checkpoint folder, or of `vehicle=NAME` alone.
 
         vehicle: name; None: that of the checkpoint. options: see OPTIONS; None where not given.

@@ -161,13 +161,18 @@ def crazyflow(known: Known, firmware: str | None, path: Path) -> Written:
     x, y, _ = np.array(known.vehicle.rotor_position, float).T
     arm = float(np.abs([x, y]).max())
     rows: dict[str, Any] = {
-        "mass": known.vehicle.mass, "J": known.vehicle.inertia_matrix, "thrust_min": known.vehicle.thrust_min,
-        "thrust_max": known.vehicle.thrust_max, "L": arm, "prop_inertia": 0.0,
-        "rpm2thrust": numbers["rpm2thrust"].value, "rpm2torque": numbers["rpm2torque"].value,
+        "mass": known.vehicle.mass,
+        "J": known.vehicle.inertia_matrix,
+        "thrust_min": known.vehicle.thrust_min,
+        "thrust_max": known.vehicle.thrust_max,
+        "L": arm,
+        "prop_inertia": 0.0,
+        "rpm2thrust": numbers["rpm2thrust"].value,
+        "rpm2torque": numbers["rpm2torque"].value,
         "rotor_dyn_coef": [1 / tau.value, 0.0, 1 / tau.value, 0.0],
         "mixing_matrix": np.array([y / arm, -x / arm, known.vehicle.rotor_spin]),
         "drag_matrix": -np.diag([drag[axis].value for axis in AXES]) + 0.0,
-    }  # fmt: skip
+    }
     text = f'["{known.vehicle.name}"]\n' + "".join(f"{name} = {plain(value)!r}\n" for name, value in rows.items())
     lost += linear_lost(known, drag)
     lost += ["the models so_rpy* (rpy_coef, rpy_rates_coef, cmd_rpy_coef): of the attitude loop, not identified"]
@@ -193,10 +198,16 @@ def agilicious(known: Known, firmware: str | None, path: Path) -> Written:
     rows |= {f"tbm_{quadrant}": vehicle.rotor_position[i] for quadrant, i in zip(quadrants, order, strict=True)}
     rows |= {name: [numbers[name].value, 0.0, 0.0] for name in ("thrust_map", "torque_map")}
     rows |= {
-        "inertia": np.diag(vehicle.inertia_matrix), "omega_max": [vehicle.rate_max] * 3, "motor_omega_min": 0.0,
-        "thrust_min": vehicle.thrust_min, "thrust_max": vehicle.thrust_max, "rotors_config": "cross",
-        "aero_coeff_1": [drag[axis].value for axis in AXES], "aero_coeff_3": [0.0] * 3, "aero_coeff_h": 0.0,
-    }  # fmt: skip
+        "inertia": np.diag(vehicle.inertia_matrix),
+        "omega_max": [vehicle.rate_max] * 3,
+        "motor_omega_min": 0.0,
+        "thrust_min": vehicle.thrust_min,
+        "thrust_max": vehicle.thrust_max,
+        "rotors_config": "cross",
+        "aero_coeff_1": [drag[axis].value for axis in AXES],
+        "aero_coeff_3": [0.0] * 3,
+        "aero_coeff_h": 0.0,
+    }
     text = "".join(f"{name}: {plain(value)}\n" for name, value in rows.items())
     lost += [PRODUCTS, *linear_lost(known, drag)]
     return Written(text, numbers, lost)

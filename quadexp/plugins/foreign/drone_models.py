@@ -39,9 +39,12 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.world.base import PlantPart
 from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, RotorSpeedPlant, integrate
 
-THRUST, TORQUE, UP, DOWN, DRAG, INERTIA = (
-    slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 10), slice(10, 13), 13,
-)  # fmt: skip
+THRUST = slice(0, 3)
+TORQUE = slice(3, 6)
+UP = slice(6, 8)
+DOWN = slice(8, 10)
+DRAG = slice(10, 13)
+INERTIA = 13
 N_PARAMETERS = 14  # of the function below
 RPM = math.pi / 30  # rad/s
 OTHER_ROTOR = 0.1  # of the thrust per rotor speed squared in hover: more is another vehicle's

@@ -194,9 +194,13 @@ class OutputPosterior(Record, frozen=True):
 
 
 def mean_only(
-    output: str, features: tuple[str, ...], points: np.ndarray, alpha: np.ndarray, length: np.ndarray,
+    output: str,
+    features: tuple[str, ...],
+    points: np.ndarray,
+    alpha: np.ndarray,
+    length: np.ndarray,
     signal: float = 1.0,
-) -> OutputPosterior:  # fmt: skip
+) -> OutputPosterior:
     """A posterior mean with these numbers, without a variance: points (n, d), alpha (n,), length (d,)."""
     return OutputPosterior(output, features, points, alpha, length, signal, 0.0, np.zeros((len(alpha),) * 2), 0.0, 0)
 
@@ -267,9 +271,12 @@ class GaussianProcessModel(Model, frozen=True, tag="gaussian_process"):
             signal = float(np.sqrt(output.signal_variance))
             noise = float(np.sqrt(output.noise_variance))
             outputs[output.output] = {
-                "features": list(output.features), "inducing": len(output.alpha), "lengthscale": scales,
-                "signal_std": signal, "noise_std": noise,
-            }  # fmt: skip
+                "features": list(output.features),
+                "inducing": len(output.alpha),
+                "lengthscale": scales,
+                "signal_std": signal,
+                "noise_std": noise,
+            }
             text = ", ".join(f"{name} {scale:.3g}" for name, scale in zip(output.features, scales, strict=True))
             stds = f"signal {signal:.3g}, noise {noise:.3g} {describe(output.output, 'residuals').unit}"
             lines.append(f"{output.output:<12}{len(output.alpha)} points, length scales {text}; {stds}")
@@ -293,9 +300,14 @@ def adapting_process(residual: Residual, outputs: Sequence[OutputPosterior], dev
 
 
 def gaussian_process_residual(
-    vehicle: Vehicle, outputs: Sequence[OutputPosterior], mean_parameters: npt.ArrayLike | None = None,
-    source: str = "", *, mean_terms: TermStructure | None = None, weighed: bool = False,
-) -> Residual:  # fmt: skip
+    vehicle: Vehicle,
+    outputs: Sequence[OutputPosterior],
+    mean_parameters: npt.ArrayLike | None = None,
+    source: str = "",
+    *,
+    mean_terms: TermStructure | None = None,
+    weighed: bool = False,
+) -> Residual:
     """Residual of one or more GP outputs.
 
     mean_parameters: [D (3,), b (3,), kappa] of the linear-drag mean function (quadexp.models.linear_drag), or None.
@@ -391,12 +403,14 @@ def _compiled_sums(
     weighed = bool(factor.numel())
     kernels = {
         (m, d): handwritten(
-            f"gp_sums_{m}_{d}{'_weighed' * weighed}", SUMS, {"POINTS": m, "FEATURES": d, "FACTOR": m * weighed},
+            f"gp_sums_{m}_{d}{'_weighed' * weighed}",
+            SUMS,
+            {"POINTS": m, "FEATURES": d, "FACTOR": m * weighed},
             {"feature": dense(d), "points": dense(m * d), "alpha": dense(m), "factor": dense(m * m * weighed)},
             {"value": dense(1), "slope": dense(d), "known": dense(weighed), "known_slope": dense(d * weighed)},
         )
         for m, d in shapes
-    }  # fmt: skip
+    }
     sizes = zip(*((d, m * d, m, m * m * weighed) for m, d in shapes), strict=True)
     arguments = zip(*map(split, (scaled, points, alpha, factor), sizes), strict=True)
     results = [kernels[shape](*of_output) for shape, of_output in zip(shapes, arguments, strict=True)]
@@ -409,9 +423,14 @@ def _sizes(structure: Structure) -> tuple[list[int], list[int]]:
 
 
 def _scalar_functions(
-    names: Sequence[str], structure: Structure, n_mean: int, *, with_mean: bool, mean_terms: TermStructure | None,
+    names: Sequence[str],
+    structure: Structure,
+    n_mean: int,
+    *,
+    with_mean: bool,
+    mean_terms: TermStructure | None,
     weighed: bool,
-) -> tuple[ca.Function, ca.Function]:  # fmt: skip
+) -> tuple[ca.Function, ca.Function]:
     """The functions before and after the sums over points.
 
     (z, s) -> s phi of all features; (z, mean, s, fallback, sums ..) -> y, dy/dz with structural zeros. mean: parameters
@@ -461,9 +480,13 @@ def _scalar_functions(
 
 
 def fit_gp(
-    dataset: ResidualDataset, settings: GPConfig | None = None, *, start: GaussianProcessModel | None = None,
-    callback: Callback = quiet, intervals: bool = True,
-) -> GaussianProcessModel:  # fmt: skip
+    dataset: ResidualDataset,
+    settings: GPConfig | None = None,
+    *,
+    start: GaussianProcessModel | None = None,
+    callback: Callback = quiet,
+    intervals: bool = True,
+) -> GaussianProcessModel:
     """Fit every output named in `settings.features` to all rows (up to settings.max_rows) of the dataset.
 
     start: model with the same outputs and sizes, whose values replace the first stages; a quarter of the iterations

@@ -62,9 +62,14 @@ class Hyperparameters:
 
 
 def fit_output(
-    z: np.ndarray, target: np.ndarray, settings: Any, iterations: int, rng: np.random.Generator, start: Any,
+    z: np.ndarray,
+    target: np.ndarray,
+    settings: Any,
+    iterations: int,
+    rng: np.random.Generator,
+    start: Any,
     report: Callable[[float], None],
-) -> tuple[Any, ...]:  # fmt: skip
+) -> tuple[Any, ...]:
     """The numbers of one output's posterior (OutputPosterior, from inducing on) from its features z (k, d) and target.
 
     settings: GPConfig, of which method, inducing and jitter are read. start: the same output's posterior, its values
@@ -106,10 +111,15 @@ def fit_output(
         alpha, factor = exact_posterior(points, y[rows], guess)
 
     return (
-        points * spread + centre, alpha * unit, guess.lengthscale * spread, guess.signal_variance * unit**2,
-        guess.noise_variance * unit**2, factor * unit, bound - float(np.log(unit)),
+        points * spread + centre,
+        alpha * unit,
+        guess.lengthscale * spread,
+        guess.signal_variance * unit**2,
+        guess.noise_variance * unit**2,
+        factor * unit,
+        bound - float(np.log(unit)),
         len(alpha) if settings.method == "subset" else len(x),
-    )  # fmt: skip
+    )
 
 
 def greedy_points(x: np.ndarray, lengthscale: np.ndarray, count: int) -> np.ndarray:
@@ -231,9 +241,13 @@ def maximise(model: GPRegression, iterations: int, report: Callable[[int], None]
     with warnings.catch_warnings(), gpytorch.settings.max_cholesky_size(EXACT_LIMIT):
         warnings.simplefilter("ignore", NumericalWarning)
         result = minimize(
-            loss, flat, jac=True, method="L-BFGS-B", callback=lambda _: report(next(done)),
+            loss,
+            flat,
+            jac=True,
+            method="L-BFGS-B",
+            callback=lambda _: report(next(done)),
             options={"maxiter": iterations, "maxcor": 20, "ftol": 1e-9, "gtol": 1e-6},
-        )  # fmt: skip
+        )
     vector_to_parameters(torch.tensor(result.x), parameters)
     return -float(result.fun)
 

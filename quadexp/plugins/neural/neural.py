@@ -338,11 +338,19 @@ def _train(
 
     done = count(1)
     result = minimize(
-        loss, np.concatenate([part.ravel() for part in start]), jac=True, method="L-BFGS-B",
+        loss,
+        np.concatenate([part.ravel() for part in start]),
+        jac=True,
+        method="L-BFGS-B",
         callback=lambda _: callback("fit network", next(done) / settings.max_iterations),
-        options={"maxiter": settings.max_iterations, "maxfun": 2 * settings.max_iterations, "maxcor": 30,
-                 "ftol": 1e-12, "gtol": 1e-8},
-    )  # fmt: skip
+        options={
+            "maxiter": settings.max_iterations,
+            "maxfun": 2 * settings.max_iterations,
+            "maxcor": 30,
+            "ftol": 1e-12,
+            "gtol": 1e-8,
+        },
+    )
     weights, biases = ([part.numpy().copy() for part in layers] for layers in parts(torch.tensor(result.x)))
     return weights, biases
 

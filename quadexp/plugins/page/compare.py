@@ -52,9 +52,18 @@ MOST_LETTERS = 36  # of a value
 MOST_CONFIGURATIONS = 40  # cells whose configurations are read on either side
 MEASURED = ("solve_time",)  # columns that two runs of one flight may differ in
 FIGURES = (
-    "mean_error", "rmse", "max_error", "attitude_rmse", "saturated_share", "command_change", "charge_used",
-    "peak_speed", "duration", "solve_time_median", "solve_time_p99",
-)  # fmt: skip
+    "mean_error",
+    "rmse",
+    "max_error",
+    "attitude_rmse",
+    "saturated_share",
+    "command_change",
+    "charge_used",
+    "peak_speed",
+    "duration",
+    "solve_time_median",
+    "solve_time_p99",
+)
 EXACT = [name for name in METRICS if not name.startswith("solve_time")]  # the same for the same flight
 NOTE = "means over the flights that all of them completed in every one of these results"
 

@@ -53,9 +53,13 @@ from quadexp.writer import write_text
 
 SUFFIXES = ("png", "pdf", "svg", "html")
 ON_PAPER: Any = {  # letters of the size and kind of the text around: Times, in its free form
-    "font.size": 8, "axes.titlesize": 8, "legend.fontsize": 7, "lines.linewidth": 1.2,
-    "font.family": ["STIXGeneral", "DejaVu Sans"], "mathtext.fontset": "stix",
-}  # fmt: skip
+    "font.size": 8,
+    "axes.titlesize": 8,
+    "legend.fontsize": 7,
+    "lines.linewidth": 1.2,
+    "font.family": ["STIXGeneral", "DejaVu Sans"],
+    "mathtext.fontset": "stix",
+}
 LEAST_PANEL = 2.2  # inches, of the width of a panel on paper
 MAX_PANELS = 36  # six by six: smaller ones have no room for their labels
 WIDEST_LINEAR = 5.0  # ratio of the largest to the smallest mean, beyond which their axis is logarithmic
@@ -184,9 +188,14 @@ def looks_of(view: View) -> dict[Place, Look]:
 
 
 def _draw_line(
-    panel: Any, view: View, of_line: Mapping[Any, Point | None], look: Mapping[str, Any], label: str,
-    beside: tuple[int, int], log: bool,
-) -> None:  # fmt: skip
+    panel: Any,
+    view: View,
+    of_line: Mapping[Any, Point | None],
+    look: Mapping[str, Any],
+    label: str,
+    beside: tuple[int, int],
+    log: bool,
+) -> None:
     there = [(value, point) for value, point in of_line.items() if point is not None and point.is_shown]
     if not there:
         return

@@ -28,9 +28,11 @@ MAX_PANELS = 36  # of tracked paths in one figure
 
 @styled
 def tracked_paths(
-    flights: Mapping[tuple[str, str], Flight], title: str = "", missing: Mapping[tuple[str, str], str] | None = None,
+    flights: Mapping[tuple[str, str], Flight],
+    title: str = "",
+    missing: Mapping[tuple[str, str], str] | None = None,
     left_out: Sequence[str] = (),
-) -> Figure:  # fmt: skip
+) -> Figure:
     """Flown paths seen from above, coloured by the position error, over the reference; one scale for all panels.
 
     flights: (controller, condition) -> flight; a row a controller, a column a condition. missing: the reason of a place

@@ -272,9 +272,14 @@ class View:
 
 
 def view(
-    frame: SweepFrame, *, y: str = "mean_error", x: str | None = None, by: Sequence[str] | None = None,
-    facet: Sequence[str] | None = None, kind: Kind | None = None,
-) -> View:  # fmt: skip
+    frame: SweepFrame,
+    *,
+    y: str = "mean_error",
+    x: str | None = None,
+    by: Sequence[str] | None = None,
+    facet: Sequence[str] | None = None,
+    kind: Kind | None = None,
+) -> View:
     """The view that is asked for, completed by what was swept, with the confidence of the results' record. by, facet:
     None to choose.
 

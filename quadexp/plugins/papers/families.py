@@ -13,9 +13,15 @@ from quadexp.report.style import Figure
 Row = Mapping[str, Any]
 
 ORDER = (  # learned residuals and identified physics, with MPC and with feedback; perfect and oracle are bounds
-    "nominal_mpc", "linear_drag_mpc", "gp_mpc", "rls_mpc", "perfect_mpc", "static_feedback", "rls_feedback",
+    "nominal_mpc",
+    "linear_drag_mpc",
+    "gp_mpc",
+    "rls_mpc",
+    "perfect_mpc",
+    "static_feedback",
+    "rls_feedback",
     "oracle_feedback",
-)  # fmt: skip
+)
 TITLE = (
     "Mean position error over the flight (mm), over seeds; bold: least error of a line over the flights that all ended"
     " well, significantly less than every other (corrected for the choice among them and for the lines), by a"

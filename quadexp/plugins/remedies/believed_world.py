@@ -81,9 +81,16 @@ class BelievedWorld:
         update = None if estimator is None else estimator.update
         sizes = memory_sizes(vehicle, settings.nodes, estimator)
         function = cached_function(
-            mpc.backend, enter_function, vehicle, model, update, settings.nodes, settings.samples,
-            kept=tuple(sizes.items()), **form,
-        )  # fmt: skip
+            mpc.backend,
+            enter_function,
+            vehicle,
+            model,
+            update,
+            settings.nodes,
+            settings.samples,
+            kept=tuple(sizes.items()),
+            **form,
+        )
         self._function = function
         self.memory = Memory("BelievedWorld", sizes)
         self.numbers = np.zeros(N_BELIEF)

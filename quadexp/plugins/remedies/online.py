@@ -98,9 +98,13 @@ class Law:
 
 
 def update_function(
-    vehicle: Vehicle, adapting: Adapting, known: Residual | None = None, law: Law | None = None, *,
+    vehicle: Vehicle,
+    adapting: Adapting,
+    known: Residual | None = None,
+    law: Law | None = None,
+    *,
     compiled: bool = False,
-) -> ca.Function:  # fmt: skip
+) -> ca.Function:
     """One update, for all components. compiled: the form to compile, which cannot be interpreted.
 
     known: residual that is summed with the adapting one and does not adapt.
@@ -139,9 +143,15 @@ def update_function(
 
 
 def _block(
-    block: Block, law: Law, belief: Expression, row: Expression, sample: Expression, noise: Expression,
-    decay: Expression, push: Expression,
-) -> tuple[Expression, Expression, Expression]:  # fmt: skip
+    block: Block,
+    law: Law,
+    belief: Expression,
+    row: Expression,
+    sample: Expression,
+    noise: Expression,
+    decay: Expression,
+    push: Expression,
+) -> tuple[Expression, Expression, Expression]:
     """The update of one component: its new belief, its weights and its innovation.
 
     row: regressors of the weights. noise: r. push: dt c sigma. Only one triangle of P is used, so it is symmetric.

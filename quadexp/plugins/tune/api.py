@@ -49,9 +49,13 @@ class Tuning(Frame):
 
 
 def tune(
-    *settings: OverrideLike, out: Place | None = None, conf: Folders = None, force: bool = False,
-    progress: bool = False, **keywords: Any,
-) -> Tuning:  # fmt: skip
+    *settings: OverrideLike,
+    out: Place | None = None,
+    conf: Folders = None,
+    force: bool = False,
+    progress: bool = False,
+    **keywords: Any,
+) -> Tuning:
     """Choose settings of a controller by flights, as `quadexp tune`.
 
     settings, keywords: the cells of a trial, lists as in `sweep`; keywords that are keys of

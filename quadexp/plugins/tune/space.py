@@ -96,8 +96,11 @@ def default_space(config: Config) -> list[str]:
     up and down is taken. Raises UsageError where the controller has none."""
     space: list[str] = []
     for group, node in {"controller": config.controller, **remedies(config)}.items():
-        rules = [f"{group}.{key}{rule if rule.startswith('.') else f'={rule}'}"
-                 for key, field in declared(type(node)).items() for rule in field.setting.tuned.split()]  # fmt: skip
+        rules = [
+            f"{group}.{key}{rule if rule.startswith('.') else f'={rule}'}"
+            for key, field in declared(type(node)).items()
+            for rule in field.setting.tuned.split()
+        ]
         if not rules and group == "controller":
             raise UsageError(f"{node.name}: its keys say no ranges to tune it in: give --vary KEY=LOW..HIGH")
         for text in rules:

@@ -45,9 +45,20 @@ CHARGE, RC_VOLTAGE, VOLTAGE, CURRENT = range(4)
 STATES = 4  # that are logged
 TANGENT = 2  # states of the line of the thrust limit
 PARAMETERS = (
-    "cells", "capacity", "resistance", "rc_resistance", "rc_decay", "rc_share", "per_reference", "power_of_a_newton",
-    "electronics", "thrust_max", "power_max", "cutoff", "rotor_column_factor",
-)  # fmt: skip
+    "cells",
+    "capacity",
+    "resistance",
+    "rc_resistance",
+    "rc_decay",
+    "rc_share",
+    "per_reference",
+    "power_of_a_newton",
+    "electronics",
+    "thrust_max",
+    "power_max",
+    "cutoff",
+    "rotor_column_factor",
+)
 
 
 @keyed
@@ -98,15 +109,20 @@ class Battery(Effect):
         drawn = float(ca.sum1(rotor_power(ca.DM(start.thrust), *rotor))) + self.electronics
         voltage = voltage_at(drawn)
         values = {
-            "cells": self.cells, "capacity": self.capacity, "resistance": self.resistance,
-            "rc_resistance": self.rc_resistance, "rc_decay": math.exp(-step / self.rc_time_constant),
+            "cells": self.cells,
+            "capacity": self.capacity,
+            "resistance": self.resistance,
+            "rc_resistance": self.rc_resistance,
+            "rc_decay": math.exp(-step / self.rc_time_constant),
             "rc_share": float(mean_share(self.rc_time_constant, step)),
             "per_reference": 1 / (self.reference_voltage or voltage_at(needed)),
             "power_of_a_newton": float(rotor_power(1.0, *rotor)),
-            "electronics": self.electronics, "thrust_max": vehicle.thrust_max,
+            "electronics": self.electronics,
+            "thrust_max": vehicle.thrust_max,
             "power_max": float(rotor_power(vehicle.thrust_max, *rotor)),
-            "cutoff": self.cutoff_voltage * self.cells, "rotor_column_factor": rotor_column_factor(vehicle),
-        }  # fmt: skip
+            "cutoff": self.cutoff_voltage * self.cells,
+            "rotor_column_factor": rotor_column_factor(vehicle),
+        }
         logged = first_rotor_column(vehicle, start.thrust)
         inner = [self.state_of_charge, 0.0, voltage, drawn / voltage, *logged, 0.0, 0.0]
         return inner, [values[name] for name in PARAMETERS]

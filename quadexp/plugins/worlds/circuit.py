@@ -98,9 +98,12 @@ def _power(ratio: Expression, exponent: Exponent) -> Expression:
 
 
 def operating_point(
-    source: Expression, resistance: Expression, guess: Expression, thrust_at: Callable[[Expression], Expression],
+    source: Expression,
+    resistance: Expression,
+    guess: Expression,
+    thrust_at: Callable[[Expression], Expression],
     power_at: Callable[[Expression], Expression],
-) -> OperatingPoint:  # fmt: skip
+) -> OperatingPoint:
     """Where source and load agree, V = source - resistance P(V) / V.
 
     source: E - V_1 (V). resistance: R_0 (Ohm). guess: V, of the step before. thrust_at: voltage -> thrusts (n,) (N).

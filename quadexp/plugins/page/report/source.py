@@ -38,7 +38,7 @@ from quadexp.report.pairing import (
     contestant_of,
     is_bound,
     is_invalid,
-)  # fmt: skip
+)
 from quadexp.report.significance import Tests
 from quadexp.report.statistics import CONFIDENCE, Statistic, Statistics, pooled, results_statistics
 from quadexp.report.style import Look, looks

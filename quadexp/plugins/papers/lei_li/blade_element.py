@@ -89,10 +89,17 @@ def blade_element_residual(
 
 
 def blade_element_correction(
-    vehicle: Vehicle, z: Expression, theta: Expression, *, lift_scale: Expression = 1.0, payload: Expression = 0.0,
-    rotor_local_velocity: bool = False, terms: CrossTerms = ADOPTED, iterations: int = ITERATIONS,
+    vehicle: Vehicle,
+    z: Expression,
+    theta: Expression,
+    *,
+    lift_scale: Expression = 1.0,
+    payload: Expression = 0.0,
+    rotor_local_velocity: bool = False,
+    terms: CrossTerms = ADOPTED,
+    iterations: int = ITERATIONS,
     rotor_speed_min: float = IDLE_SPEED,
-) -> tuple[Expression, Expression]:  # fmt: skip
+) -> tuple[Expression, Expression]:
     """y (6,) and dy/dz (6, 6 + n) as SX expressions.
 
     z: features (6 + n,). theta: (5,). lift_scale: factor on every rotor's C_la, scalar or (n,). payload: kg.
@@ -139,9 +146,13 @@ class BladeFit:
 
 
 def fit_blade_element(
-    vehicle: Vehicle, velocity: np.ndarray, rotor_speed: np.ndarray, specific_force: np.ndarray,
-    initial: BladeCoefficients, stretch: np.ndarray | None = None,
-) -> BladeFit:  # fmt: skip
+    vehicle: Vehicle,
+    velocity: np.ndarray,
+    rotor_speed: np.ndarray,
+    specific_force: np.ndarray,
+    initial: BladeCoefficients,
+    stretch: np.ndarray | None = None,
+) -> BladeFit:
     """Fit one flight.
 
     velocity: air-relative, (k, 3) body FLU (m/s). rotor_speed: (k, n) (rad/s), all turning. specific_force: (k, 3) body
@@ -307,9 +318,13 @@ def identify_flight(
     note = ""
     try:
         fit = fit_blade_element(
-            vehicle, velocity[turning], speed[turning], force[turning], FIRST_VALUES,
+            vehicle,
+            velocity[turning],
+            speed[turning],
+            force[turning],
+            FIRST_VALUES,
             np.concatenate([[0], np.cumsum(stretch[1:] != stretch[:-1])])[turning],
-        )  # fmt: skip
+        )
     except DataError as reason:
         note = str(reason)
     clips = kept["clips"][-1].astype(int)

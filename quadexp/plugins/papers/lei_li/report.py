@@ -105,8 +105,17 @@ def expected_table(rows: Sequence[Row], heights: Mapping[str, float] | None = No
         case = [trajectory, speed_text(speed, ""), controller, options, str(len(group))]
         lines.append([*case, shown, "" if expected is None else str(expected), against, highest, ended])
     heads = (
-        "trajectory", "m/s", "controller", "options", "seeds", "error", "expected", "difference", "highest", "outcome",
-    )  # fmt: skip
+        "trajectory",
+        "m/s",
+        "controller",
+        "options",
+        "seeds",
+        "error",
+        "expected",
+        "difference",
+        "highest",
+        "outcome",
+    )
     title = "Time average of the position error over the flight (m), mean and half range over seeds; highest point (m)"
     return Table(heads, lines, title, left=frozenset({0, 2, 3, 9})).markdown()
 

@@ -272,10 +272,19 @@ def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
             beside += [str(theirs.lost), _number(theirs.survivors, 3), *(texts[-1] for texts in verdicts.values())]
         lines.append(line + beside)
     heads = (
-        "condition", "position (m)", "as logged (m)", "heading (deg)", "lost + > 2 m", "survivors (m)",
-        "printed position (m)", "printed heading (deg)", "printed lost", "printed survivors (m)", "reproduced",
+        "condition",
+        "position (m)",
+        "as logged (m)",
+        "heading (deg)",
+        "lost + > 2 m",
+        "survivors (m)",
+        "printed position (m)",
+        "printed heading (deg)",
+        "printed lost",
+        "printed survivors (m)",
+        "reproduced",
         "as logged",
-    )  # fmt: skip
+    )
     notes = [_verdict(title, texts) for title, texts in verdicts.items() if texts]
     flights = ", ".join(str(number) for number in sorted({condition.flights for condition in worlds.values()}))
     title = f"{name}: mean (SD) over {flights} flights of the RMSE; a lost flight counts {CRASHED[0]:g} m"
@@ -295,9 +304,16 @@ def _against_best(name: str, worlds: Mapping[str, Condition]) -> str:
         errors = [_with_sd(ours.position, 3), _with_sd(ours.logged, 3), _with_sd(ours.heading, 1), lost, possible]
         lines.append([TITLES.get(world, world), *errors, _number(best.get(world, math.nan), 3), *below])
     heads = (
-        "condition", "position (m)", "as logged (m)", "heading (deg)", "lost + > 2 m", "possible (m, flights)",
-        "best printed (m)", "below", "as logged",
-    )  # fmt: skip
+        "condition",
+        "position (m)",
+        "as logged (m)",
+        "heading (deg)",
+        "lost + > 2 m",
+        "possible (m, flights)",
+        "best printed (m)",
+        "below",
+        "as logged",
+    )
     return Table(heads, lines, f"{name}: mean (SD) over the flights, beside the best mean printed").markdown()
 
 
