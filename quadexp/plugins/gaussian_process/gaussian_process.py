@@ -255,7 +255,7 @@ class GaussianProcessModel(Model, frozen=True, tag="gaussian_process"):
         form = gaussian_process_residual(vehicle, self.outputs, parameters, mean_terms=terms, weighed=True)
         return dataclasses.replace(residual, function=form.function, to_compile=form.to_compile, theta=form.theta)
 
-    def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
+    def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float) -> Adapting:
         return adapting_process(residual, self.outputs, deviation)
 
     @property
@@ -283,14 +283,13 @@ class GaussianProcessModel(Model, frozen=True, tag="gaussian_process"):
         return {"outputs": outputs}, [*lines, *super().described(report)[1]]
 
 
-def adapting_process(residual: Residual, outputs: Sequence[OutputPosterior], deviation: float | None) -> Adapting:
-    """Weights alpha that adapt. deviation: s of quadexp.plugins.remedies.online, m/s^2; None: that of each fit."""
+def adapting_process(residual: Residual, outputs: Sequence[OutputPosterior], s: float) -> Adapting:
+    """Weights alpha that adapt. s: as in quadexp.plugins.remedies.online, m/s^2."""
     sizes = [len(output.alpha) for output in outputs]
     ends = len(residual.theta) - sum(sizes) + np.cumsum([0, *sizes])
     blocks = []
     for output, first, end in zip(outputs, ends[:-1], ends[1:], strict=True):
         if output.output in AXIS:
-            s = float(np.sqrt(output.signal_variance)) if deviation is None else deviation
             scaled = output.inducing / output.lengthscale
             distance = ((scaled[:, None] - scaled[None]) ** 2).sum(axis=2)
             lower = np.linalg.cholesky(np.exp(-0.5 * distance) + JITTER * np.eye(end - first))

@@ -168,8 +168,7 @@ class NeuralModel(Model, frozen=True, tag="neural"):
         self.require(part, source)
         return neural_residual(vehicle, self.network, source)
 
-    def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
-        assert deviation is not None
+    def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float) -> Adapting:
         return adapting_network(residual, self.network, deviation)
 
     @property

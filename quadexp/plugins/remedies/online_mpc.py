@@ -49,7 +49,6 @@ class AdaptKeys(Settings):
     deviation: float = key(
         0.8, "prior standard deviation of the acceleration that the weights can add, roughly", "(0, 100]", "m/s^2"
     )
-    fit_prior: bool = key(False, "of a Gaussian process: take the signal variance of its fit in place of deviation")
     start: Literal["model", "zero"] = key(
         "model", "first weights, to which they return without data: those of the checkpoint, or zero"
     )
@@ -212,15 +211,11 @@ class OnlineMPC(PredictivePart):
         from quadexp.plugins.remedies.online import from_zero
 
         *others, last = self.residual
-        for name in ("fit_prior", "fitc"):
-            if getattr(self.adapt, name) and last != "gaussian_process":
-                has = "fitted signal variance" if name == "fit_prior" else "inducing points"
-                raise UsageError(f"controller.adapt.{name}: {last} has no {has}, a Gaussian process has")
+        if self.adapt.fitc and last != "gaussian_process":
+            raise UsageError(f"controller.adapt.fitc: {last} has no inducing points, a Gaussian process has")
         if last != "terms":
             residual = context.residuals(self.residual)[-1]
-            checkpoint = context.checkpoint(-1)
-            deviation = None if self.adapt.fit_prior else self.adapt.deviation
-            adapting = checkpoint.adapting(context.vehicle, residual, deviation)
+            adapting = context.checkpoint(-1).adapting(context.vehicle, residual, self.adapt.deviation)
         else:
             adapting = adapting_terms(context.vehicle, self.adapt.deviation)
         if self.adapt.start == "zero":

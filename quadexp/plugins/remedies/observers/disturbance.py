@@ -49,7 +49,7 @@ from quadexp.plugins.remedies.observers.filters import (
 from quadexp.plugins.remedies.observers.observer import ObserverPart, arguments, believer
 
 N_FORCE_STATE = 7  # a^, v^, P
-N_FORCE_SETTINGS = 9  # numbers of `settings`
+N_FORCE_SETTINGS = 8  # numbers of `settings`
 
 
 def disturbance_function(
@@ -73,7 +73,7 @@ def disturbance_function(
     P = s[6]
     scale = ca.MX(1)
     air = ca.MX(1)
-    q, r, for_v, for_a, limit, scale_walk, air_walk, for_rest, doubt = ca.vertsplit(settings[:N_FORCE_SETTINGS])
+    q, r, for_v, for_a, limit, scale_walk, air_walk, for_rest = ca.vertsplit(settings[:N_FORCE_SETTINGS])
     known = along_z(thrust) + y[:3]
     if scaled:
         by_scale = along_z(thrust) + ca.densify(slope)[:3, 6:] @ a["thrust"]
@@ -82,7 +82,7 @@ def disturbance_function(
         drag = R @ y[:3]
         walks = ca.vertcat(q, scale_walk, air_walk)
         scaled_state, P, rest = scaled_force_update(
-            s[:first], unexplained, turned, drag, walks, r, for_rest, doubt, a["read"]
+            s[:first], unexplained, turned, drag, walks, r, for_rest, a["read"]
         )
         force = scaled_state[:3] + rest
         scale = 1 + scaled_state[3]
@@ -137,7 +137,6 @@ class DisturbanceObserver(ObserverPart):
     scale_initial: float = key(
         0.3, "standard deviation of the thrust scale when a flight begins", "[0, 1]", when="scale_walk"
     )
-    thrust_noise: float = key(0.0, "relative standard deviation of the thrust that is measured", "[0, 1]")
     air_walk: float = key(0.0, "likewise of the scale of the air's force; 0: not estimated", "[0, 10]")
     air_initial: float = key(
         1.0, "standard deviation of the air's scale when a flight begins", "[0, 10]", when="air_walk"
@@ -170,15 +169,14 @@ class DisturbanceObserver(ObserverPart):
 
     def settings(self, period: float) -> np.ndarray:
         """See ObserverPart: [q, r, gain on v^, gain on a^ from v, limit, variances that the scales of thrust and air
-        gain in a step, gain of what the filter of the scales leaves, relative variance of the thrust] and those of the
-        torque."""
+        gain in a step, gain of what the filter of the scales leaves] and those of the torque."""
         z = float(np.exp(-self.force_bandwidth * period))
         r = self.force_noise**2
         apart = min(self.force_bandwidth, APART) if self.scaled else self.force_bandwidth
         K = 1 - float(np.exp(-apart * period))
         force = [r * K**2 / (1 - K), r, 1 - z * z, (1 - z) ** 2 / period, self.force_limit]
         force += [self.scale_walk**2 * period, self.air_walk**2 * period]
-        force += [1 - z if apart < self.force_bandwidth else 0.0, self.thrust_noise**2]
+        force += [1 - z if apart < self.force_bandwidth else 0.0]
         return np.array(force + torque_settings(self.torque_bandwidth, self.torque_limit, period))
 
     def begin(self, x: np.ndarray) -> np.ndarray:
