@@ -6,12 +6,8 @@ every vehicle drawn to scale from above.
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -33,15 +29,13 @@ from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.text import speed_text
 from quadexp.writer import check_output, written
 
-FORMATS = (".gif", ".mp4")
 DPI = 100  # of matplotlib's usual figure
 SIZE = (7.2, 3.9)  # inches
 TRAIL = 1.5  # s of path behind a vehicle
 COLOURS = 64  # of a GIF
 HOLD = 1.2  # s that the last frame stays
 MOST_FRAMES = 3000  # 2 min at 25 a second
-SAME = 1e-6  # m; references that differ by more are not the same
-ALIKE = 1e-3  # m; the same of flights at different rates, whose references are compared between samples
+SAME = 1e-3  # m; references that differ by more are not the same: those of other control rates are interpolated
 
 
 def animate(
@@ -55,14 +49,11 @@ def animate(
 ) -> dict[str, Any]:
     """Write the flights as an animation; returns path, frames and duration (s).
 
-    out: GIF or MP4 by its suffix. rate: frames a second. begin, end: s of the flights that are shown; None: to
+    out: a GIF. rate: frames a second. begin, end: s of the flights that are shown; None: to
     the end. Raises UsageError where the flights do not follow one reference, or nothing is left to show.
     """
-    suffix = out.suffix.lower()
-    if suffix not in FORMATS:
-        raise UsageError(f"--out {out}: must end in {', '.join(FORMATS)}")
-    if suffix == ".mp4" and shutil.which("ffmpeg") is None:
-        raise UsageError(f"--out {out}: needs ffmpeg on the PATH; without it, give .gif")
+    if out.suffix.lower() != ".gif":
+        raise UsageError(f"--out {out}: must end in .gif")
     if not 1 <= rate <= 50:
         raise UsageError(f"--rate {rate:g}: must be in [1, 50] frames per second")
     flights = [read_flight(path, whole=True) for path in paths]
@@ -77,11 +68,7 @@ def animate(
     check_output(out, force=force)
     picture = _Picture(_labels(paths, flights), flights, begin, end)
     with written(out, force=force) as file, Progress("frames") as progress:
-        frames = _counted(picture, times, progress)
-        if suffix == ".mp4":
-            _write_mp4(frames, rate, file)
-        else:
-            _write_gif(frames, picture.frame(times[len(times) // 2]), times, file)
+        _write_gif(_counted(picture, times, progress), picture.frame(times[len(times) // 2]), times, file)
     return {"path": out, "frames": len(times), "duration": len(times) / rate}
 
 
@@ -100,25 +87,6 @@ def _write_gif(frames: Iterator[Image.Image], typical: Image.Image, times: np.nd
     next(indexed).save(file, "GIF", **options)
 
 
-def _write_mp4(frames: Iterator[Image.Image], rate: float, file: BinaryIO) -> None:
-    first = next(frames)
-    size = f"{first.width}x{first.height}"
-    with tempfile.TemporaryDirectory() as folder:
-        video = Path(folder) / "video.mp4"
-        source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", f"{rate:g}", "-i", "-"]
-        target = ["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", str(video)]
-        command = ["ffmpeg", "-loglevel", "error", *source, *target]
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as ffmpeg:
-            assert ffmpeg.stdin is not None
-            for frame in chain([first], frames):
-                ffmpeg.stdin.write(frame.tobytes())
-            ffmpeg.stdin.write(round(HOLD * rate) * frame.tobytes())
-            _, said = ffmpeg.communicate()
-        if ffmpeg.returncode:
-            raise UsageError(f"ffmpeg: {said.decode(errors='replace').strip()}")
-        file.write(video.read_bytes())
-
-
 def _check_same_reference(paths: Sequence[Path], flights: Sequence[Flight]) -> None:
     """UsageError where a flight has another reference; those of other control rates are compared between samples."""
     for path, flight in zip(paths, flights, strict=True):
@@ -126,10 +94,9 @@ def _check_same_reference(paths: Sequence[Path], flights: Sequence[Flight]) -> N
             raise UsageError(f"{path}: has no samples with a reference to show")
         coarse, fine = sorted((flight, flights[0]), key=lambda f: len(f) / max(float(f["t"][-1]), 1e-9))
         t = coarse["t"][coarse["t"] <= fine["t"][-1] + 1e-9]
-        alike = SAME if np.isin(t.round(9), fine["t"].round(9)).all() else ALIKE
         for name in ("ref_p_x", "ref_p_y", "ref_p_z"):
             between = CubicSpline(fine["t"], fine[name])(t) if len(fine) > 1 else fine[name]
-            if np.abs(between - coarse[name][: len(t)]).max() > alike:
+            if np.abs(between - coarse[name][: len(t)]).max() > SAME:
                 raise UsageError(f"{path}: follows another reference than {paths[0]}; give flights of one trajectory")
 
 

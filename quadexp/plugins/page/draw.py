@@ -238,8 +238,6 @@ def set_scale(panel: Any, axis: Axis, here: Sequence[Any]) -> None:
     values = [float(value) for value in here]
     if axis.scale == "log":
         panel.set_xscale("log")
-    elif axis.scale == "symlog":
-        panel.set_xscale("symlog", linthresh=min(value for value in axis.values if value > 0))
     shown = values if len(values) <= 8 else values[:: math.ceil(len(values) / 8)]
     if axis.scale == "linear":
         shown = [values[0]]
@@ -249,8 +247,7 @@ def set_scale(panel: Any, axis: Axis, here: Sequence[Any]) -> None:
     panel.set_xticks([] if axis.scale == "linear" else values, minor=True)
     panel.xaxis.set_major_formatter(PLAIN)
     panel.xaxis.set_minor_formatter(lambda value, _: "")
-    if axis.scale != "symlog":
-        panel.margins(x=0.08)
+    panel.margins(x=0.08)
 
 
 def _in_lines(text: str, width: int) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from datetime import timedelta
 from typing import Any
 
 from quadexp.plugins.page.document import Block, Section, document
@@ -56,10 +57,8 @@ class Live:
 
 
 def clock(seconds: float) -> str:
-    """Such as "1:05 min" or "2:03:10 h"."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d} h" if hours else f"{minutes}:{rest:02d} min" if minutes else f"{rest} s"
+    """Hours, minutes and seconds, such as "0:01:05"."""
+    return str(timedelta(seconds=round(seconds)))
 
 
 def page(live: Live, seconds: float) -> str:

@@ -24,6 +24,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -113,19 +114,17 @@ class Axis:
         return cls(key, tuple(values), "number" if values and all(map(is_number, values)) else "group")
 
     @property
-    def scale(self) -> Literal["linear", "log", "symlog"]:
-        """Logarithmic for three or more positive values that are rather spaced by a ratio than by a difference, over a
-        factor of 4 or more; symlog where zero is among them."""
-        if self.kind == "group":
+    def scale(self) -> Literal["linear", "log"]:
+        """Logarithmic for three or more values, all positive, that are rather spaced by a ratio than by a difference,
+        over a factor of 4 or more."""
+        if self.kind == "group" or len(self.values) < 3:
             return "linear"
-        positive = [float(value) for value in self.values if value > 0]
-        if len(positive) < 3 or min(map(float, self.values)) < 0 or positive[-1] < 4 * positive[0]:
+        values = [float(value) for value in self.values]
+        if values[0] <= 0 or values[-1] < 4 * values[0]:
             return "linear"
-        steps = [b - a for a, b in zip(positive, positive[1:], strict=False)]
-        ratios = [math.log(b / a) for a, b in zip(positive, positive[1:], strict=False)]
-        if max(ratios) / min(ratios) >= max(steps) / min(steps):
-            return "linear"
-        return "log" if len(positive) == len(self.values) else "symlog"
+        steps = [after - before for before, after in pairwise(values)]
+        ratios = [math.log(after / before) for before, after in pairwise(values)]
+        return "log" if max(ratios) / min(ratios) < max(steps) / min(steps) else "linear"
 
     @property
     def label(self) -> str:
