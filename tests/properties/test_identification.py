@@ -85,7 +85,7 @@ def test_recursive_is_batch_least_squares(vehicle, forgetting, scaled, rng):
         rows.append(estimator.regressors)
         readings.append(force)
     rows, readings = np.array(rows), np.array(readings)
-    for axis, at in enumerate(AXES):
+    for axis, at in enumerate(AXES.values()):
         batch = batch_least_squares(
             rows[:, axis][:, list(at)],
             readings[:, axis],

@@ -136,7 +136,8 @@ def ardupilot(known: Known, firmware: str | None, path: Path) -> Written:
     hover = numbers["MOT_THST_HOVER"].value
     a = SPIN_MIN
     b = SPIN_MAX
-    low, high = ((1 - f) * s + f * s * s for s in (a, b))
+    low = (1 - f) * a + f * a * a
+    high = (1 - f) * b + f * b * b
     expo = f * (b - a) / (1 - f + f * (a + b))
     lost += [
         "both numbers hold for MOT_SPIN_MIN 0 and MOT_SPIN_MAX 1",

@@ -59,7 +59,8 @@ from quadexp.physics.vehicle import Vehicle
 if TYPE_CHECKING:
     import torch
 
-LAYER, BACKWARD = (Path(__file__).with_name(name) for name in ("neural_layer.c", "neural_backward.c"))
+LAYER = Path(__file__).with_name("neural_layer.c")
+BACKWARD = Path(__file__).with_name("neural_backward.c")
 
 Layer = Callable[[Expression, Expression, Expression], tuple[Expression, Expression]]  # W, b, x -> s, s'
 Backward = Callable[[Expression, Expression, Expression], Expression]  # G, s', W -> G diag(s') W
@@ -229,10 +230,8 @@ def neural_residual(vehicle: Vehicle, network: Network, source: str = "") -> Res
 
     Raises UsageError for an unknown feature.
     """
-    function, to_compile = (
-        _network_function(feature_names(vehicle.n_rotors), network, *form)
-        for form in ((_layer, _backward), (_compiled_layer, _compiled_backward))
-    )
+    function = _network_function(feature_names(vehicle.n_rotors), network, _layer, _backward)
+    to_compile = _network_function(feature_names(vehicle.n_rotors), network, _compiled_layer, _compiled_backward)
     theta = [part for w, b in zip(network.weights, network.biases, strict=True) for part in (w.T.ravel(), b)]
     return Residual("neural", function, np.concatenate(theta), source, to_compile)
 
@@ -316,7 +315,8 @@ def _train(
     shapes = [(rows, columns) for columns, rows in pairwise([x.shape[1], *settings.hidden, y.shape[1]])]
     start = [rng.normal(size=shape) / math.sqrt(shape[1]) for shape in shapes]
     start += [rng.normal(size=rows) for rows, _ in shapes[:-1]] + [np.zeros(y.shape[1])]
-    inputs, target = (torch.as_tensor(values, dtype=torch.float64) for values in (x, y))
+    inputs = torch.as_tensor(x, dtype=torch.float64)
+    target = torch.as_tensor(y, dtype=torch.float64)
     largest = None if settings.spectral is None else settings.spectral ** (1 / len(shapes))
     ends = np.cumsum([part.size for part in start])
 

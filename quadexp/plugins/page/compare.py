@@ -377,7 +377,9 @@ def _metric_lines(metrics: Sequence[Mapping[str, Any]], metric: str) -> list[str
     rows = []
     left_out = []
     for record in metrics:
-        ratio, low, high = (record[name] for name in ("ratio", "ratio_low", "ratio_high"))
+        ratio = record["ratio"]
+        low = record["ratio_low"]
+        high = record["ratio_high"]
         text = relative(ratio) + ("" if ratio == 0 or math.isnan(low) else f" [{low:+.3g}, {high:+.3g}]")
         verdict = "not distinguishable" if record["testable"] else f"{count(record['seeds'], 'seed')} cannot tell"
         verdict = ("smaller" if ratio < 0 else "larger") if record["distinguishable"] else verdict

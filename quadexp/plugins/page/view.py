@@ -290,7 +290,9 @@ def view(
         raise UsageError(f"--y {y}: no number of a flight{suggestion(y, metrics)}")
     if x is None and kind is None and not by and not facet:
         return automatic(frame, y, confidence)[0]
-    given_x, given_by, given_facet = (checked_keys(frame, keys) for keys in ([x] if x else [], by or [], facet or []))
+    given_x = checked_keys(frame, [x] if x else [])
+    given_by = checked_keys(frame, by or [])
+    given_facet = checked_keys(frame, facet or [])
     stated = [*given_x, *given_by, *given_facet]
     for key in stated:
         if stated.count(key) > 1:

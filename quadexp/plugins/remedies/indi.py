@@ -32,7 +32,7 @@ from quadexp.errors import UsageError
 from quadexp.models.build_context import BuildContext
 from quadexp.parts.sensor_spec import later_speeds
 from quadexp.parts.settings import Backend, key, keyed
-from quadexp.physics.expression import Expression, symbols
+from quadexp.physics.expression import Expression, named_function, named_symbols
 from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.laws.dfbc import TILT_FIRST, WRENCH_WEIGHT, Wrench
@@ -52,9 +52,9 @@ def indi_function(vehicle: Vehicle, keys: INDI) -> ca.Function:
     if not keys.cutoff < keys.rate / 2:
         raise UsageError(f"rate_loop.cutoff={keys.cutoff:g}: must be below half of rate_loop.rate={keys.rate:g} Hz")
     b, a = _low_pass(keys)
-    wanted, rate, delivered, memory, before = symbols(
-        ca.MX, wanted=n, rate=3, delivered=n, memory=(3 + n, 2), before=3 + n
-    )
+    shapes = {"wanted": n, "rate": 3, "delivered": n, "memory": (3 + n, 2), "before": 3 + n}
+    inputs = named_symbols(ca.MX, shapes)
+    wanted, rate, delivered, memory, before = inputs.values()
 
     root = ca.sqrt(ca.fmax(delivered, 0))  # sqrt(c_t) W
     now = ca.vertcat(rate, root)
@@ -72,8 +72,7 @@ def indi_function(vehicle: Vehicle, keys: INDI) -> ca.Function:
         wrench[3] += ca.dot(spin, filtered[3:] - before[3:]) / dt
         wrench = _without_spin_up(vehicle, spin / (keys.spin_up_time or dt), wrench, root, filtered[3:])
     thrust = allocation(vehicle, keys.allocation, keys.wrench_weight)(wrench)
-    names = ["wanted", "rate", "delivered", "memory", "before"], ["thrust", "memory_next", "filtered"]
-    return ca.Function("indi", [wanted, rate, delivered, memory, before], [thrust, memory_next, filtered], *names)
+    return named_function("indi", inputs, {"thrust": thrust, "memory_next": memory_next, "filtered": filtered})
 
 
 def settled_memory(keys: INDI, values: np.ndarray) -> np.ndarray:

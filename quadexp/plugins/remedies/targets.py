@@ -86,7 +86,8 @@ def held_targets(
             u = inputs[k]
             q, _, change = as_scalars(turned)(x, u, air[k], disturbance)
             still, blown = as_scalars(features)(x, q, u + change, wind)
-            y0, y1 = (ca.densify(model(z, theta)[0]) for z in (ca.vertcat(still, u), blown))
+            y0 = ca.densify(model(ca.vertcat(still, u), theta)[0])
+            y1 = ca.densify(model(blown, theta)[0])
             exact[k] = as_scalars(difference)(x, q, y0, y1, air_scale)
         air = []
         for k in range(last + 1):

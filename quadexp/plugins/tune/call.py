@@ -110,7 +110,8 @@ def tune(
         choice, option = write_preset(out, composer, options, tuned, about, asked.name)
     if figure:
         _draw(trials, request, each, out / "history")
-    before, after = (settings_of(axes, trial.numbers) for trial in (trials[0], trials[best]))
+    before = settings_of(axes, trials[0].numbers)
+    after = settings_of(axes, trials[best].numbers)
     settings = {key: (before[key], after[key]) for key in before}
     record = {"out": out, **about, "choice": choice, "option": option, "settings": settings, "history": history}
     width = max(map(len, settings))

@@ -156,7 +156,9 @@ class Battery(Effect):
         return ca.fmax(inner[CHARGE] <= 0, inner[VOLTAGE] < cutoff)
 
     def reason(self, inner: np.ndarray, parameters: np.ndarray) -> str:
-        charge, voltage, current = (float(inner[i]) for i in (CHARGE, VOLTAGE, CURRENT))
+        charge = float(inner[CHARGE])
+        voltage = float(inner[VOLTAGE])
+        current = float(inner[CURRENT])
         if charge <= 0:
             return f"the battery is empty (battery.capacity={self.capacity:g} Ah, {voltage:.1f} V left)"
         if voltage < parameters[PARAMETERS.index("cutoff")]:

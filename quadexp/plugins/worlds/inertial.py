@@ -227,10 +227,8 @@ class InertialSensors(Effect):
 
     def stated(self, sensor_spec: SensorSpec, vehicle: Vehicle) -> SensorSpec:
         force, turn, *_ = (self.densities * math.sqrt(self.imu_rate)).tolist()
-        accelerometer, gyroscope = (
-            Stated(noise, bias, span=1 / self.imu_rate)
-            for noise, bias in ((force, self.accelerometer_bias_std), (turn, self.gyroscope_bias_std))
-        )
+        accelerometer = Stated(force, self.accelerometer_bias_std, span=1 / self.imu_rate)
+        gyroscope = Stated(turn, self.gyroscope_bias_std, span=1 / self.imu_rate)
         return replace(sensor_spec, accelerometer=accelerometer, gyroscope=gyroscope)
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:

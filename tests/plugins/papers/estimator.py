@@ -107,7 +107,7 @@ class Estimator:
     def covariance(self) -> tuple[np.ndarray, ...]:
         """P of the axes, in the order of `axis_theta`: the estimates' covariance where sigma is the true noise."""
         kept = self.memory.of_now
-        return tuple(kept[f"P_{axis}"].reshape(len(at), len(at)).copy() for axis, at in zip("xyz", AXES, strict=True))
+        return tuple(kept[f"P_{axis}"].reshape(len(at), len(at)).copy() for axis, at in AXES.items())
 
     def standard_error(self) -> np.ndarray:
         """Standard errors of `raw`, (5,), where the readings have the assumed deviation."""

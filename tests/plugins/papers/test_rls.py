@@ -58,7 +58,7 @@ def test_updates_equal_a_hand_written_one(lei_li, data, rng):
     """Thirty updates with noise, from the paper's start: P_0 = 50 I, half of the true values."""
     estimator = Estimator(lei_li, HALF, RLSSettings(clip=False))
     start = HALF.parameters()
-    theta, P, used = [start[list(at)] for at in AXES], [50 * np.eye(len(at)) for at in AXES], start
+    theta, P, used = [start[list(at)] for at in AXES.values()], [50 * np.eye(len(at)) for at in AXES.values()], start
     for k in range(0, 300, 10):
         force = data.specific_force[k] + rng.normal(0, 0.05, 3)
         V, w = paper.flip(data.velocity[k]), data.rotor_speed[k]

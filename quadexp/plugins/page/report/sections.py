@@ -82,7 +82,8 @@ def scoreboard(comparison: Comparison) -> Table:
     for label in comparison.order:
         pooled = comparison.overall.get(label)
         flights = comparison.success(label)
-        mean, own_mean = (factor * comparison.geometric_mean(label, over_own=own_mean) for own_mean in (False, True))
+        mean = factor * comparison.geometric_mean(label, over_own=False)
+        own_mean = factor * comparison.geometric_mean(label, over_own=True)
         beyond = flights.ended > (verdict.common if mean == mean else 0)
         role = "best" if verdict.best and label == verdict.least else ""
         role = role or ("baseline" if label == base else "bound" if label in comparison.bounds else "")

@@ -259,7 +259,8 @@ class Identification:
 
     def metadata(self) -> dict[str, Any]:
         """Metadata of the table; the estimates are those of the fit to all samples where there is one."""
-        recursion, clips = (named(THETA, values.tolist()) for values in (self.raw[-1], self.clips))
+        recursion = named(THETA, self.raw[-1].tolist())
+        clips = named(THETA, self.clips.tolist())
         record: dict[str, Any] = {"flight": self.name, "estimates": recursion, "recursion": recursion}
         if self.fit is not None:
             record["estimates"] = named(THETA, self.fit.theta.tolist())

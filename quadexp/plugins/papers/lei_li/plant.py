@@ -387,7 +387,8 @@ def checked_equations(model: BladeElementModel) -> Equations:
     def solve(state: Expression, speeds: Expression) -> Expression:
         theta, lift_scale, _ = model.split(parameters)
         equation = model.equation(state, speeds, parameters)
-        squared, axial = (_row(value, n) for value in (equation.in_plane_squared, equation.axial))
+        squared = _row(equation.in_plane_squared, n)
+        axial = _row(equation.axial, n)
         induced, status = solution((theta[C_LA] * lift_scale).T, speeds.T, squared, axial)
         statuses.append(status.T)
         flows.append(ca.vertcat(ca.sqrt(squared), axial, speeds.T))

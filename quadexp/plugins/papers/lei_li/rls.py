@@ -40,15 +40,17 @@ import numpy as np
 
 from quadexp.compile.memory import NEXT, NOW
 from quadexp.compile.symbolic import ca
+from quadexp.names import named
 from quadexp.parts.settings import Settings, key, keyed, part
 from quadexp.physics.blade_element import ADOPTED, aerodynamic_wrench, rotor_flow
-from quadexp.physics.expression import Expression, limited, named_function, named_symbols, symbols
+from quadexp.physics.expression import Expression, limited, named_function, named_symbols
 from quadexp.physics.induced_velocity import balance, safe_newton
 from quadexp.physics.rotor import C_D0, C_DX, C_DY, C_DZ, C_LA, THETA, BladeCoefficients, BladeKeys
 from quadexp.physics.vehicle import Vehicle
 
 SLOWEST = 1.0  # rad/s; samples with a slower rotor are skipped (the advance ratio is not defined there)
-AXES = ((C_D0, C_LA, C_DX), (C_D0, C_LA, C_DY), (C_LA, C_DZ))  # coefficients that the force along x, y, z depends on
+# Axis -> coefficients that the force along it depends on.
+AXES = {"x": (C_D0, C_LA, C_DX), "y": (C_D0, C_LA, C_DY), "z": (C_LA, C_DZ)}
 INNOVATION_SAMPLES = 10  # time constant, in samples, of the mean square error
 FIRST_WAIT = 100  # samples without change detection at the start
 NEXT_WAIT = 50  # the same after a detected change
@@ -65,11 +67,12 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
     regressors (3, 5) (m/s^2); weight beta_x.
     """
     n = vehicle.n_rotors
-    v, w, y, used, coefficients = symbols(ca.SX, v=3, w=n, y=3, used=len(THETA), coefficients=len(THETA))
-    sigma, forgetting, lift_weight = symbols(ca.SX, sigma=1, forgetting=1, lift_weight=1)
-    thetas = [ca.SX.sym(f"theta_{a}", len(at)) for a, at in zip("xyz", AXES, strict=True)]
-    covariances = [ca.SX.sym(f"P_{a}", len(at), len(at)) for a, at in zip("xyz", AXES, strict=True)]
-    priors = [ca.SX.sym(f"prior_{a}", len(at)) for a, at in zip("xyz", AXES, strict=True)]
+    shapes: dict[str, Any] = {"v": 3, "w": n, "y": 3, "used": len(THETA)}
+    for axis, at in AXES.items():
+        shapes |= {f"theta_{axis}": len(at), f"P_{axis}": (len(at), len(at)), f"prior_{axis}": len(at)}
+    inputs = named_symbols(ca.SX, shapes | {"sigma": 1, "forgetting": 1, "lift_weight": 1})
+    v, w, y, used, *_, sigma, forgetting, lift_weight = inputs.values()
+    coefficients = ca.SX.sym("coefficients", len(THETA))
 
     flow = rotor_flow(vehicle, v)
     equation = balance(vehicle.rotor_geometry, used[C_LA], w, flow.in_plane_squared, flow.axial, ADOPTED)
@@ -85,33 +88,29 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
         [regressors, gain_regressors], [induced], [safe_newton(equation, ITERATIONS)]
     )
 
-    new_thetas = []
-    new_covariances = []
+    results = {}
     errors = []
-    for axis, at in enumerate(AXES):
-        phi = regressors[axis, at].T
-        direction = gain_regressors[axis, at].T
-        theta = thetas[axis]
-        P = covariances[axis]
-        kept = forgetting * ca.DM.eye(len(at)) + (1 - forgetting) * P / ca.repmat(priors[axis], 1, len(at))
-        P = P @ ca.inv_minor(kept)
+    for i, (axis, at) in enumerate(AXES.items()):
+        phi = regressors[i, at].T
+        direction = gain_regressors[i, at].T
+        theta = inputs[f"theta_{axis}"]
+        P = inputs[f"P_{axis}"]
+        reset = (1 - forgetting) * P / ca.repmat(inputs[f"prior_{axis}"], 1, len(at))
+        P = P @ ca.inv_minor(forgetting * ca.DM.eye(len(at)) + reset)
         P = (P + P.T) / 2
         spread = P @ direction
         gain = spread / (ca.dot(direction, spread) + sigma**2)
-        errors.append(y[axis] - ca.dot(phi, theta))
-        new_thetas.append(theta + gain * errors[-1])
-        new_covariances.append(P - gain @ spread.T)
+        error = y[i] - ca.dot(phi, theta)
+        errors.append(error)
+        results[f"new_theta_{axis}"] = theta + gain * error
+        results[f"new_P_{axis}"] = P - gain @ spread.T
 
     speed = abs(v[0]) + abs(v[1])
     weight = ca.if_else(speed > 0, abs(v[0]) / (speed + (speed <= 0)), 0.5)
-    raw = _combine(new_thetas, weight, lift_weight)
-    arguments = [v, w, y, used, *thetas, *covariances, *priors, sigma, forgetting, lift_weight]
-    results = [*new_thetas, *new_covariances, raw, ca.vertcat(*errors)]
-    results += [safe_newton(equation, ITERATIONS), ca.densify(regressors), weight]
-    states = [f"{name}_{axis}" for name in ("theta", "P", "prior") for axis in "xyz"]
-    names_in = ["v", "w", "y", "used", *states, "sigma", "forgetting", "lift_weight"]
-    names_out = [*(f"new_{name}" for name in states[:6]), "raw", "error", "induced", "regressors", "weight"]
-    return ca.Function("rls_step", arguments, ca.cse(results), names_in, names_out)
+    thetas = [results[f"new_theta_{axis}"] for axis in AXES]
+    results |= {"raw": _combine(thetas, weight, lift_weight), "error": ca.vertcat(*errors)}
+    results |= {"induced": safe_newton(equation, ITERATIONS), "regressors": ca.densify(regressors), "weight": weight}
+    return named_function("rls_step", inputs, named(results, ca.cse([*results.values()])))
 
 
 def _combine(thetas: Sequence[Expression], weight: Expression, lift_weight: Expression) -> Expression:
@@ -193,7 +192,7 @@ def recursion(
 
 def standard_errors(kept: Mapping[str, np.ndarray], settings: RLSSettings) -> np.ndarray:
     """Standard errors of `raw`, (k, 5), where the readings have the assumed deviation. kept: of `recursion`."""
-    P_x, P_y, P_z = (kept[f"P_{axis}"].reshape(-1, len(at), len(at)) for axis, at in zip("xyz", AXES, strict=True))
+    P_x, P_y, P_z = (kept[f"P_{axis}"].reshape(-1, len(at), len(at)) for axis, at in AXES.items())
     b = kept["weight"][:, :, None]
     c = settings.lift_weight
     horizontal = b**2 * P_x + (1 - b) ** 2 * P_y
@@ -221,8 +220,8 @@ def remembered(initial: BladeCoefficients, settings: RLSSettings) -> dict[str, n
     was clipped; numbers of updates, and of samples with a stopped rotor; beta_x; mean square error over that of the
     noise, samples until a change may be found, and changes so far."""
     theta = initial.parameters()
-    kept = {f"theta_{axis}": theta[list(at)] for axis, at in zip("xyz", AXES, strict=True)}
-    kept |= {f"P_{axis}": np.diag(spread(initial, settings, at)).ravel() for axis, at in zip("xyz", AXES, strict=True)}
+    kept = {f"theta_{axis}": theta[list(at)] for axis, at in AXES.items()}
+    kept |= {f"P_{axis}": np.diag(spread(initial, settings, at)).ravel() for axis, at in AXES.items()}
     used = np.clip(theta, *bounds(initial, settings)) if settings.clip else theta
     kept |= {"raw": theta, "used": used, "clips": 1.0 * (used != theta)}
     ones = {"samples": 0, "skipped": 0, "weight": 0.5, "innovation": 1, "wait": FIRST_WAIT, "reopened": 0}
@@ -240,7 +239,7 @@ def update_function(
     a = named_symbols(ca.MX, shapes)
     kept = {name: a[NOW + name] for name in start}
     arguments: dict[str, Any] = {name: a[name] for name in ("v", "w", "y")} | {"used": kept["used"]}
-    for axis, at in zip("xyz", AXES, strict=True):
+    for axis, at in AXES.items():
         arguments[f"theta_{axis}"] = kept[f"theta_{axis}"]
         arguments[f"P_{axis}"] = ca.reshape(kept[f"P_{axis}"], len(at), -1)
         arguments[f"prior_{axis}"] = spread(initial, settings, at)

@@ -51,7 +51,10 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) 
     shapes = {"x": N_STATE, "commands": (n, commands), "weights": (commands, parts), "dt": parts}
     shapes |= {"theta": residual.function.size1_in(1), "wind": 3, "push": 6, "scale": 1}
     arguments = named_symbols(ca.MX, shapes)
-    x, dt, theta, wind = (arguments[name] for name in ("x", "dt", "theta", "wind"))
+    x = arguments["x"]
+    dt = arguments["dt"]
+    theta = arguments["theta"]
+    wind = arguments["wind"]
     pushed = ca.vertcat(wind, ca.MX(4, 1), arguments["push"])
     thrusts = arguments["scale"] * (arguments["commands"] @ arguments["weights"])
 

@@ -23,7 +23,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.inputs import Circumstances, Inputs
 from quadexp.control.layer import Layer, LayerPart
 from quadexp.parts.settings import key, keyed
-from quadexp.physics.expression import symbols, unit
+from quadexp.physics.expression import named_function, named_symbols, unit
 from quadexp.physics.rotation import along_z, exponential, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -98,7 +98,9 @@ def propagation(periods: int, gravity: float, period: float) -> ca.Function:
     Inputs: x (13,), its rate unused; rates (3, K + 1) (rad/s) and forces (3, K + 1) (m/s^2), body, the last ones of
     now; late, at most K periods. Output: now (13,), with the rate of now.
     """
-    x, late, rates, forces = symbols(ca.SX, x=N_STATE, late=1, rates=(3, periods + 1), forces=(3, periods + 1))
+    readings = (3, periods + 1)
+    inputs = named_symbols(ca.SX, {"x": N_STATE, "rates": readings, "forces": readings, "late": 1})
+    x, rates, forces, late = inputs.values()
     p = x[POSITION]
     q = x[ATTITUDE]
     v = x[VELOCITY]
@@ -116,7 +118,7 @@ def propagation(periods: int, gravity: float, period: float) -> ca.Function:
         v = v + h * (a[0] + 4 * a[1] + a[2]) / 6
         q = product(q, exponential(_turn(w[0], w[2], h)))
     now = ca.vertcat(p, unit(q), v, rates[:, -1])
-    return ca.Function("strapdown", [x, rates, forces, late], [now], ["x", "rates", "forces", "late"], ["now"])
+    return named_function("strapdown", inputs, {"now": now})
 
 
 def _turn(first: ca.SX, last: ca.SX, duration: ca.SX) -> ca.SX:

@@ -81,9 +81,7 @@ def disturbance_function(
         turned = R @ by_scale
         drag = R @ y[:3]
         walks = ca.vertcat(q, scale_walk, air_walk)
-        scaled_state, P, rest = scaled_force_update(
-            s[:first], unexplained, turned, drag, walks, r, for_rest, a["read"]
-        )
+        scaled_state, P, rest = scaled_force_update(s[:first], unexplained, turned, drag, walks, r, for_rest, a["read"])
         force = scaled_state[:3] + rest
         scale = 1 + scaled_state[3]
         air = 1 + scaled_state[4]

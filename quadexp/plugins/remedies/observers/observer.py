@@ -94,9 +94,8 @@ class ObserverPart(LayerPart):
         known = inputs.state, inputs.specific_force, read, inputs.delivered, inputs.mean, inputs.theta
         update = self.update(vehicle, air, inputs.about)
         estimate, belief = update(memory.estimate, *known, ca.DM(self.settings(inputs.period)))
-        estimate, belief = (
-            ca.if_else(flown, new, old) for new, old in ((estimate, memory.estimate), (belief, ca.DM(NO_BELIEF)))
-        )
+        estimate = ca.if_else(flown, estimate, memory.estimate)
+        belief = ca.if_else(flown, belief, ca.DM(NO_BELIEF))
         return {"estimate": estimate, "flown": 1, "belief": belief}
 
     def put(self, controller: Any) -> Observer | ObservingMPC:

@@ -42,7 +42,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Settings, Triple, key
 from quadexp.physics.blade_element import aerodynamic_wrench, blade_forces, body_drag, static_inflow
-from quadexp.physics.expression import Expression, dense_function, limited, symbols
+from quadexp.physics.expression import Expression, dense_function, limited, named_symbols, symbols
 from quadexp.physics.induced_velocity import balance, safe_newton
 from quadexp.physics.rotation import air_velocity, along_z, rotation_matrix
 from quadexp.physics.rotor import C_D0, C_DX, C_DZ, C_LA
@@ -141,9 +141,9 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
     rotors at the least speed; limited: number of rotors at the largest thrust; u_T (3,), NED.
     """
     n = vehicle.n_rotors
-    x, reference, yaw, theta, velocity_last, rotor_speed_last, eta_d_last, observer_last = symbols(
-        ca.SX, x=N_STATE, reference=(3, 3), yaw=3, theta=5, v=3, w=n, eta_d=3, observer=(3, 2)
-    )
+    shapes = {"x": N_STATE, "reference": (3, 3), "yaw": 3, "theta": 5, "velocity_last": 3, "rotor_speed_last": n}
+    inputs = named_symbols(ca.SX, shapes | {"eta_d_last": 3, "observer_last": (3, 2)})
+    x, reference, yaw, theta, velocity_last, rotor_speed_last, eta_d_last, observer_last = inputs.values()
 
     R = NED_ENU @ rotation_matrix(x[ATTITUDE]) @ FRD_FLU
     eta = euler_angles(R)
@@ -197,16 +197,6 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
     floored = ca.sum1(squared < low)
     at_limit = ca.sum1(squared > high)
 
-    inputs = {
-        "x": x,
-        "reference": reference,
-        "yaw": yaw,
-        "theta": theta,
-        "velocity_last": velocity_last,
-        "rotor_speed_last": rotor_speed_last,
-        "eta_d_last": eta_d_last,
-        "observer_last": observer_last,
-    }
     outputs = {
         "thrust": vehicle.static_thrust_coefficient * commanded,
         "rotor_speed": ca.sqrt(commanded),
