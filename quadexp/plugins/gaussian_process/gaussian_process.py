@@ -81,6 +81,8 @@ CHUNK = 4096  # rows predicted at a time, to limit memory
 JITTER = 1e-8  # added to K of weights that adapt, as in the fit
 SUMS = Path(__file__).with_name("gp_sums.c")
 
+# Output -> features that q of it can express.
+CONTINUED = {"a_x": {"v_x"}, "a_y": {"v_y"}, "a_z": {"v_z", THRUST}}
 LEAST = 1e-12  # of the signal variance: smallest s^2, where q goes through the points
 N_FALLBACK = 5  # numbers of an output's fallback: sigma_f^2 / s^2, c_0 .. c_3
 
@@ -244,16 +246,17 @@ class GaussianProcessModel(Model, frozen=True, tag="gaussian_process"):
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
         self.require(part, source)
-        parameters = None if self.mean is None else self.mean.parameters
-        terms = self.mean.structure if isinstance(self.mean, TermMean) else None
-        return gaussian_process_residual(vehicle, self.outputs, parameters, source, mean_terms=terms)
+        return self._form(vehicle, source)
 
     def weighed(self, vehicle: Vehicle, residual: Residual) -> Residual:
         """See Model.weighed."""
+        form = self._form(vehicle, weighed=True)
+        return dataclasses.replace(residual, function=form.function, to_compile=form.to_compile, theta=form.theta)
+
+    def _form(self, vehicle: Vehicle, source: str = "", *, weighed: bool = False) -> Residual:
         parameters = None if self.mean is None else self.mean.parameters
         terms = self.mean.structure if isinstance(self.mean, TermMean) else None
-        form = gaussian_process_residual(vehicle, self.outputs, parameters, mean_terms=terms, weighed=True)
-        return dataclasses.replace(residual, function=form.function, to_compile=form.to_compile, theta=form.theta)
+        return gaussian_process_residual(vehicle, self.outputs, parameters, source, mean_terms=terms, weighed=weighed)
 
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float) -> Adapting:
         return adapting_process(residual, self.outputs, deviation)
@@ -351,7 +354,7 @@ def fallback(posterior: OutputPosterior, *, continued: bool) -> np.ndarray:
     freedom = len(points)
     c = np.zeros(N_FALLBACK - 1)
     along = f"v_{output[-1]}"
-    if continued and along in posterior.features and {*posterior.features} <= _continued(output):
+    if continued and along in posterior.features and {*posterior.features} <= CONTINUED.get(output, set()):
         columns = {name: points[:, i] for i, name in enumerate(posterior.features)}
         v = columns[along]
         thrust = columns.get(THRUST, np.zeros(freedom))
@@ -363,11 +366,6 @@ def fallback(posterior: OutputPosterior, *, continued: bool) -> np.ndarray:
             return fallback(posterior, continued=False)
     misfit = max(float(at_points @ at_points) / freedom, LEAST * posterior.signal_variance)
     return np.array([posterior.signal_variance / misfit, *c])
-
-
-def _continued(output: str) -> set[str]:
-    """Features that q of an output can express."""
-    return {f"v_{output[-1]}", *([THRUST] if output == "a_z" else [])} if output in AXIS else set()
 
 
 def _matrix_sums(
@@ -461,7 +459,7 @@ def _scalar_functions(
             ratio, *c = ca.vertsplit(numbers[N_FALLBACK * i : N_FALLBACK * (i + 1)])
             share = 1 / (1 + ratio - known[i])
             far = ca.SX(0)
-            if mean_terms is None and {*features} <= _continued(output):
+            if mean_terms is None and {*features} <= CONTINUED.get(output, set()):
                 v = z[AXIS[output]]
                 far = c[0] + c[1] * v + c[2] * v * abs(v) + c[3] * ca.sum1(z[len(FEATURES) :])
             d_share = (value[i] - far) * share**2
