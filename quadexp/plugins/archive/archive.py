@@ -97,7 +97,9 @@ class Places:
         if not isinstance(value, str) or not value:
             return value
         path = self.folder / value
-        return self.of(path) if path.is_file() or (path / "model.json").is_file() else value
+        if path.is_file() or (path / "model.json").is_file():
+            return self.of(path)
+        return value
 
 
 def _inputs(record: Mapping[str, Any], places: Places) -> Iterator[tuple[str, bytes]]:

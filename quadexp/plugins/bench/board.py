@@ -115,7 +115,9 @@ def _line(s: Standing) -> list[str]:
         return text + ("" if math.isnan(low) else f" [{low:{form}}, {high:{form}}]")
 
     def of_cells(text: str, cells: int) -> str:
-        return f"{text} ({cells})" if cells < s.flights and text != "-" else text
+        if cells < s.flights and text != "-":
+            return f"{text} ({cells})"
+        return text
 
     place = "bound" if s.bound else f"{'= ' if s.level else ''}{s.place}"
     rank = "-" if s.bound else value(f"{s.rank:.2f}", s.rank_low, s.rank_high)

@@ -69,7 +69,9 @@ def _rule(config: Config) -> str:
     if isinstance(residual, str) and config.controller.learned:
         rules = {SPELLINGS[word]: rule for rule, words in RULES.items() for word in words}
         return rules.get(residual, residual)
-    return "fit" if remedies(config) or residual not in ("none", "plant", "blade_element") else ""
+    if remedies(config) or residual not in ("none", "plant", "blade_element"):
+        return "fit"
+    return ""
 
 
 def _settings(overrides: Sequence[str], protocol: Protocol, extra: Folders) -> str:

@@ -151,7 +151,9 @@ def cell_of(row: Row) -> tuple[str, str, int]:
 def _error(row: Row, metric: str) -> float:
     """The error of a flight, infinite for one that was not completed."""
     value = float(row[metric]) if row["outcome"] == "ok" else math.inf
-    return value if math.isfinite(value) else math.inf
+    if math.isfinite(value):
+        return value
+    return math.inf
 
 
 def _log_ratios(errors: np.ndarray, other: np.ndarray) -> np.ndarray:

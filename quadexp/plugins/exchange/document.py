@@ -151,7 +151,9 @@ def _stem(source: str) -> str:
     if source.startswith("vehicle="):
         return source.partition("=")[2]
     path = Path(source).resolve()
-    return path.parent.name if path.is_file() else path.name
+    if path.is_file():
+        return path.parent.name
+    return path.name
 
 
 def _vehicle_line(vehicle: Vehicle) -> list[str]:

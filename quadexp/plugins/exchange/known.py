@@ -343,7 +343,9 @@ def _term(air: Any, axis: str, term: str) -> Fact:
     """Coefficient of a model of terms; 0 where it has none."""
     value, error = air.coefficient(axis, term)
     i = AXES.index(axis)
-    return Fact(value, IDENTIFIED, error, air.freedom[i]) if term in air.terms[i] else Fact(0.0, "")
+    if term in air.terms[i]:
+        return Fact(value, IDENTIFIED, error, air.freedom[i])
+    return Fact(0.0, "")
 
 
 def is_per_speed(air: Any) -> bool:

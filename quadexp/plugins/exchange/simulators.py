@@ -85,7 +85,9 @@ def hub_lost(known: Known, air: dict[str, Quantity]) -> list[str]:
     """What is lost by RotorPy's form, with these numbers and the others 0."""
     values = {name: number.value for name, number in air.items()}
     lines = known.departure(lambda velocity, thrust: hub_force(known, velocity, thrust, values))
-    return lines if is_blade_element(known) or not lines else [*lines, FOR_LINEAR]
+    if is_blade_element(known) or not lines:
+        return lines
+    return [*lines, FOR_LINEAR]
 
 
 def lag(known: Known) -> tuple[Quantity, list[str]]:

@@ -235,7 +235,9 @@ def maximise(model: GPRegression, iterations: int, report: Callable[[int], None]
             return FAILED, np.zeros_like(flat)
         gradient = parameters_to_vector([p.grad for p in parameters]).numpy()
         finite = bool(np.isfinite(value.item()) and np.all(np.isfinite(gradient)))
-        return (value.item(), gradient) if finite else (FAILED, np.zeros_like(flat))
+        if finite:
+            return value.item(), gradient
+        return FAILED, np.zeros_like(flat)
 
     flat = parameters_to_vector(parameters).detach().numpy()
     with warnings.catch_warnings(), gpytorch.settings.max_cholesky_size(EXACT_LIMIT):

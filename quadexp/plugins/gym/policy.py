@@ -66,7 +66,9 @@ class Policy(ControllerPart):
     @property
     def folders(self) -> tuple[str, ...]:
         """See Part; also those of a user's function."""
-        return own_folders() if self.is_function else ()
+        if self.is_function:
+            return own_folders()
+        return ()
 
     def build(self, context: BuildContext) -> Any:
         """See ControllerPart."""

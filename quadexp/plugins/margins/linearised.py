@@ -401,4 +401,6 @@ def _drawn(plant: SimulatedPlant, period: float) -> list[Drawn]:
 def _times(drawn: Drawn) -> np.ndarray:
     """Which numbers of a control period are times, (k,)."""
     ticks = isinstance(drawn, Ticking)
-    return np.arange(drawn.size) % (1 + drawn.numbers) == 0 if ticks else np.zeros(drawn.size, bool)
+    if ticks:
+        return np.arange(drawn.size) % (1 + drawn.numbers) == 0
+    return np.zeros(drawn.size, bool)

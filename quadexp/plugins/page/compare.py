@@ -136,7 +136,9 @@ def compare(*files: str | Path) -> dict[str, Any]:
 def names_of(paths: Sequence[Path]) -> list[str]:
     """A short name of each path; the whole paths where two names would be the same."""
     short = [path.stem if path.is_file() else path.resolve().name for path in paths]
-    return short if len(set(short)) == len(short) else list(map(str, paths))
+    if len(set(short)) == len(short):
+        return short
+    return list(map(str, paths))
 
 
 # --------------------------------------------------------------------------------------------------- settings, numbers
@@ -170,7 +172,9 @@ def _setting_table(settings: Mapping[str, Sequence[Any]], names: Sequence[str]) 
 
     def short(value: Any) -> str:
         text = "null" if value is None else plain(value)
-        return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 3]}..."
+        if len(text) <= MOST_LETTERS:
+            return text
+        return f"{text[: MOST_LETTERS - 3]}..."
 
     rows = [[key, *map(short, values)] for key, values in list(settings.items())[:MOST_LINES]]
     notes = [f"and {len(settings) - len(rows)} more (--json has all)"] if len(settings) > len(rows) else []
@@ -307,7 +311,9 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
 
 
 def _mean(rows: Sequence[Row], metric: str) -> float:
-    return sum(row[metric] for row in rows) / len(rows) if rows else math.nan
+    if rows:
+        return sum(row[metric] for row in rows) / len(rows)
+    return math.nan
 
 
 def _missing(mine: Mapping[Key, Row], its: Mapping[Key, Row]) -> dict[str, int]:

@@ -34,7 +34,9 @@ class Cell:
 def cell_of(text: str | Cell) -> Cell:
     """A cell of a table; of a text such as `**1.2** [1.1, 1.3]* (1 lost)` the rest stands below the number."""
     if isinstance(text, Cell) or (parts := _NUMBER.fullmatch(text)) is None:
-        return text if isinstance(text, Cell) else Cell(text)
+        if isinstance(text, Cell):
+            return text
+        return Cell(text)
     bold, value, limits, star, beside = parts.groups("")
     return Cell(value + star, (limits, beside), best=bool(bold))
 
@@ -99,7 +101,9 @@ def template_text(name: str) -> str:
 
 
 def _shown(value: Any) -> Any:
-    return clean(value).encode(errors="backslashreplace").decode() if type(value) is str else value
+    if type(value) is str:
+        return clean(value).encode(errors="backslashreplace").decode()
+    return value
 
 
 def page_of(frame: SweepFrame, names: Sequence[str], title: str) -> str:

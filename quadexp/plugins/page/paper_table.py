@@ -127,7 +127,9 @@ def _text(key: str, value: object) -> str:
     """A value with its unit."""
     if key == "trajectory.speed":
         return f"{value_text(key, value)} m/s"
-    return value_text(key, value) if key in (*FLOWN, "world", "plant") else setting_text(key, value)
+    if key in (*FLOWN, "world", "plant"):
+        return value_text(key, value)
+    return setting_text(key, value)
 
 
 def _named(table: Table, names: Mapping[str, str], metric: str) -> Table:

@@ -96,7 +96,9 @@ def shown_column(frame: SweepFrame, key: str, keys: Sequence[str]) -> list[Any]:
     name of a controller has no compensation in it that is a key of its own."""
     if key == "controller":
         return frame.controllers(keys)
-    return [row["model"] or "" for row in frame.rows] if key == "model" else frame.column(key)
+    if key == "model":
+        return [row["model"] or "" for row in frame.rows]
+    return frame.column(key)
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,9 @@ class Axis:
             return "linear"
         steps = [after - before for before, after in pairwise(values)]
         ratios = [math.log(after / before) for before, after in pairwise(values)]
-        return "log" if max(ratios) / min(ratios) < max(steps) / min(steps) else "linear"
+        if max(ratios) / min(ratios) < max(steps) / min(steps):
+            return "log"
+        return "linear"
 
     @property
     def label(self) -> str:
@@ -215,7 +219,9 @@ class View:
     def _values(self, start: int, end: int) -> list[Place]:
         """The different values of some of the keys, sorted where all are numbers."""
         values = distinct(place[start:end] for place in self.places)
-        return sorted(values) if all(is_number(value) for place in values for value in place) else values
+        if all(is_number(value) for place in values for value in place):
+            return sorted(values)
+        return values
 
     @property
     def file_name(self) -> str:
@@ -267,7 +273,9 @@ class View:
         text = value_text(key, value)
         if text in self.names or key in FLOWN:
             return self.names.get(text, text)
-        return f"{text} m/s" if key == "trajectory.speed" else setting_text(key, value)
+        if key == "trajectory.speed":
+            return f"{text} m/s"
+        return setting_text(key, value)
 
 
 def view(
@@ -417,4 +425,6 @@ def _longest(frame: SweepFrame, keys: Sequence[str]) -> str:
 
 def value_text(key: str, value: Any) -> str:
     """A value of a key: numbers without superfluous digits, a checkpoint by the end of its path."""
-    return str(value).rstrip("/").rpartition("/")[2] if key == "model" else plain(value)
+    if key == "model":
+        return str(value).rstrip("/").rpartition("/")[2]
+    return plain(value)

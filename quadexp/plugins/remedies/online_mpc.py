@@ -127,7 +127,9 @@ class AdaptingController(PredictiveController):
         """The model with the newest weights; the same object while these are the same."""
         if not np.array_equal(self._known.theta, self._all):
             self._known = replace(self._known, theta=self._all.copy())
-        return self._known if self.settings.feedforward else None
+        if self.settings.feedforward:
+            return self._known
+        return None
 
     def forget(self) -> None:
         """See Controller.forget: back to the prior."""

@@ -42,7 +42,9 @@ class Tuning(Frame):
     @property
     def folder(self) -> Path | None:
         """The configuration folder with the options: qx.simulate(*tuned.choice.split(), conf=tuned.folder)."""
-        return None if self._folder is None else Path(self._folder)
+        if self._folder is None:
+            return None
+        return Path(self._folder)
 
     def summary(self) -> list[str]:
         return list(self.attrs.get("lines", ())) or [f"tuning: {len(self)} trials"]

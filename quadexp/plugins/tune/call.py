@@ -155,7 +155,9 @@ def _draw(trials: Sequence[Trial], request: Request, flights: int, path: Path) -
 
 
 def _short(value: Any) -> str:
-    return f"[{', '.join(f'{x:.4g}' for x in value)}]" if isinstance(value, list) else f"{value:.4g}"
+    if isinstance(value, list):
+        return f"[{', '.join(f'{x:.4g}' for x in value)}]"
+    return f"{value:.4g}"
 
 
 def _lines(search: Search, trials: Sequence[Trial], best: int) -> list[str]:
@@ -166,7 +168,9 @@ def _lines(search: Search, trials: Sequence[Trial], best: int) -> list[str]:
         margin = f", delay margin {1e3 * worth.margin:.0f} ms" if np.isfinite(worth.margin) else ""
         error = f"{number(factor * worth.error)} {unit}"
         lines.append(f"  {what}  {error}, {worth.lost} of {search.flights} flights lost{margin}")
-    return lines if best else [*lines, "  nothing better was found: the settings stay as they were"]
+    if best:
+        return lines
+    return [*lines, "  nothing better was found: the settings stay as they were"]
 
 
 def _write_history(out: Path, request: Request, search: Search, trials: Sequence[Trial]) -> Path:

@@ -124,7 +124,9 @@ def _yaml(content: Mapping[str, Any], flow: bool | None = None) -> str:
 def provenance_of(option: str, extra: Folders = None, group: str = "controller") -> dict[str, Any] | None:
     """Where the settings of an option come from; None where its file does not say."""
     for first in OptionFiles(extra).definitions.get(f"{group}/{option}", ())[:1]:
-        return first.entry.provenance if first.entry else read_provenance(first.path.read_text(encoding="utf-8"))
+        if first.entry:
+            return first.entry.provenance
+        return read_provenance(first.path.read_text(encoding="utf-8"))
     return None
 
 
@@ -144,4 +146,6 @@ def read_provenance(text: str) -> dict[str, Any] | None:
         provenance = yaml.safe_load("\n".join(kept))
     except yaml.YAMLError:
         return None
-    return provenance if isinstance(provenance, dict) else None
+    if isinstance(provenance, dict):
+        return provenance
+    return None

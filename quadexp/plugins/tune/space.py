@@ -73,7 +73,9 @@ def overrides(axes: Sequence[Axis], numbers: Sequence[float]) -> list[str]:
 
 
 def _text(value: Any) -> str:
-    return f"[{','.join(map(repr, value))}]" if isinstance(value, list) else repr(value)
+    if isinstance(value, list):
+        return f"[{','.join(map(repr, value))}]"
+    return repr(value)
 
 
 def read_axes(texts: Sequence[str], config: Config) -> list[Axis]:

@@ -156,7 +156,9 @@ class Dryden(MeanWind):
         return Sizes(N_FILTER + 3 + 4 * ticks.slots, N_PARAMETERS, (ticks,))
 
     def _lengths(self) -> np.ndarray:
-        return scale_lengths(self.altitude) if self.length is None else np.array(self.length)
+        if self.length is None:
+            return scale_lengths(self.altitude)
+        return np.array(self.length)
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         """The filters begin in their stationary distribution."""

@@ -105,7 +105,9 @@ def _anchor(cable: Cable, x: Expression) -> tuple[Expression, Expression]:
 
 
 def _vector(values: Any) -> Expression:
-    return ca.DM(values) if isinstance(values, tuple) else values
+    if isinstance(values, tuple):
+        return ca.DM(values)
+    return values
 
 
 @keyed

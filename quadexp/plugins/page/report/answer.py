@@ -56,7 +56,11 @@ def _flown(comparison: Comparison) -> str:
     counts = {label: counts[label] for label in comparison.look}
     trials = sum(flights.trials for flights in counts.values())
     if all(flights.ended == flights.trials for flights in counts.values()):
-        return f"All {trials} flights were completed." if trials > 1 else "The flight was completed." if trials else ""
+        if trials > 1:
+            return f"All {trials} flights were completed."
+        if trials:
+            return "The flight was completed."
+        return ""
     groups = grouped((flights.text(), label) for label, flights in counts.items())
     parts = [f"{listed(labels)} {text}" for text, labels in groups.items()]
     if len(parts) > MOST_COUNTS:
@@ -90,7 +94,9 @@ def _verdicts(comparison: Comparison) -> list[str]:
     """Who has the least error in each plant and vehicle."""
     texts = [_capital(f"{text}.") for verdict in comparison.verdicts.values() if (text := verdict.text())]
     hidden = len(texts) - MOST_COUNTS
-    return [*texts[:MOST_COUNTS], f"{hidden} more of this kind are below the tables."] if hidden > 1 else texts
+    if hidden > 1:
+        return [*texts[:MOST_COUNTS], f"{hidden} more of this kind are below the tables."]
+    return texts
 
 
 def _against(comparison: Comparison) -> str:

@@ -268,4 +268,6 @@ def sweep_command(grids: Sequence[Grid], out: str, others: Sequence[str] = ()) -
     else:
         named = {text for grid in grids for texts in grid for text in texts if text.startswith("experiment=")}
         words = sorted(named) if len(named) == 1 else []
-    return shlex.join(["quadexp", "evaluate", *others, "--sweep", *words, "--out", out]) if words else ""
+    if words:
+        return shlex.join(["quadexp", "evaluate", *others, "--sweep", *words, "--out", out])
+    return ""

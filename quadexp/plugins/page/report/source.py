@@ -197,12 +197,16 @@ class Comparison:
     def reference(self) -> str | None:
         """Label of the baseline in the main world; None if it is not there once."""
         there = [label for label in self.order if self.contestants[label].controller == self.baseline]
-        return there[0] if len(there) == 1 else None
+        if len(there) == 1:
+            return there[0]
+        return None
 
     @property
     def rival(self) -> str:
         """Whom the answer compares with the baseline: the least error, or where that is its own, the nearest one."""
-        return self.verdict.next if self.verdict.least == self.reference else self.verdict.least
+        if self.verdict.least == self.reference:
+            return self.verdict.next
+        return self.verdict.least
 
     @property
     def of_the_air(self) -> bool:
@@ -238,7 +242,9 @@ class Comparison:
         """The overrides of a row's cell; empty if the record does not have them."""
         cells = Combinations(self.grids)
         places = (i for i, other in enumerate(self.rows) if other["key"] == row["key"])
-        return cells.overrides(next(places)) if len(cells) == len(self.rows) else ()
+        if len(cells) == len(self.rows):
+            return cells.overrides(next(places))
+        return ()
 
     def command(self, row: Mapping[str, Any]) -> str:
         """What flies a row again in any folder; "" where the record of the results does not say."""
@@ -249,7 +255,9 @@ class Comparison:
             if words and config.get(key):
                 words[key] = self._file(key, config[key])
         out = ["--out", f"runs/{row['key']}.parquet"]  # several may have the same default
-        return shlex.join(["quadexp", "simulate", *self.conf, *words.values(), *out]) if words else ""
+        if words:
+            return shlex.join(["quadexp", "simulate", *self.conf, *words.values(), *out])
+        return ""
 
     @property
     def conf(self) -> list[str]:
@@ -260,7 +268,9 @@ class Comparison:
         """An override that means the same in any folder: with an absolute path where it names a file."""
         key, _, value = text.partition("=")
         path = read_value(value) if key in PATHS else None
-        return self._file(key, path) if path else text
+        if path:
+            return self._file(key, path)
+        return text
 
     def _file(self, key: str, path: str | list[str]) -> str:
         """An override with a path, or a list of them, from the folder in which the sweep was flown."""
@@ -270,7 +280,9 @@ class Comparison:
 
     def place(self, path: Path) -> str:
         """A path as commands name it; by its name alone where the record of the results says no folder either."""
-        return str(path.absolute()) if "folder" in self.record else path.name
+        if "folder" in self.record:
+            return str(path.absolute())
+        return path.name
 
     def sampled(self, most: int) -> list[dict[str, Any]]:
         """At most so many rows, evenly chosen."""
@@ -279,7 +291,9 @@ class Comparison:
     def time(self, label: str, which: str = "median") -> float:
         """Time of the control step, s: median over its flights of their median or p99."""
         mine = [r[f"solve_time_{which}"] for r in self.main_rows if self.label(r) == label and r["outcome"] == "ok"]
-        return float(np.median(mine)) if mine else math.nan
+        if mine:
+            return float(np.median(mine))
+        return math.nan
 
     def period(self, label: str) -> float:
         """Time between two commands, s; NaN if no flight tells."""
@@ -301,7 +315,9 @@ class Comparison:
             return None
         with contextlib.suppress(UsageError, DataError):
             flight = read_flight(CellStore(self.root).path(row["key"]), check=False)
-            return flight if len(flight) > 1 else None
+            if len(flight) > 1:
+                return flight
+            return None
         return None
 
 

@@ -443,7 +443,9 @@ def _symbols(model: BladeElementModel, kind: type[Expression]) -> list[Expressio
 
 def _row(value: Expression, n: int) -> Expression:
     """(1, n) of a scalar or of (n,)."""
-    return ca.repmat(value, 1, n) if value.is_scalar() else value.T
+    if value.is_scalar():
+        return ca.repmat(value, 1, n)
+    return value.T
 
 
 def _doubt(equation: Balance, before: Expression, induced: Expression) -> Expression:

@@ -63,7 +63,9 @@ class IdentifyingController(PredictiveController):
         """The model with the newest coefficients; the same object while no change exceeds NOTABLE."""
         if np.any(np.abs(self.theta - self._believed.theta) > NOTABLE):
             self._believed = replace(self._believed, theta=self.theta.copy())
-        return self._believed if self.settings.feedforward else None
+        if self.settings.feedforward:
+            return self._believed
+        return None
 
     def forget(self) -> None:
         """See Controller.forget."""

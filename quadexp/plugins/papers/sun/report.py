@@ -123,7 +123,9 @@ class Condition:
 
 def _mean(values: np.ndarray) -> float:
     """NaN without values."""
-    return float(values.mean()) if len(values) else math.nan
+    if len(values):
+        return float(values.mean())
+    return math.nan
 
 
 def _possible(row: Row) -> bool:
@@ -142,13 +144,17 @@ def _ellipse(row: Row) -> Ellipse:
 
 def _world(row: Row) -> str:
     world = str(row["plant"].partition("/")[2]).partition(SENSOR)[0]
-    return world if world != "sun_baseline" or _ellipse(row).feasible else INFEASIBLE_SET
+    if world != "sun_baseline" or _ellipse(row).feasible:
+        return world
+    return INFEASIBLE_SET
 
 
 def _flown_by(row: Row) -> str:
     """The controller with its remedies, and its sensors where they are not exact."""
     sensor = str(row["plant"]).partition(SENSOR)[2]
-    return f"{row['controller']}, {sensor} sensors" if sensor else str(row["controller"])
+    if sensor:
+        return f"{row['controller']}, {sensor} sensors"
+    return str(row["controller"])
 
 
 def conditions(rows: Iterable[Row]) -> dict[str, dict[str, Condition]]:
@@ -171,7 +177,9 @@ def reproduced(mean: float, survivors: float, printed: Published) -> str:
         return ""
     if abs(mean / printed.position - 1) <= CLOSE:
         return "yes"
-    return "crashes" if abs(survivors / printed.survivors - 1) <= CLOSE else "no"
+    if abs(survivors / printed.survivors - 1) <= CLOSE:
+        return "crashes"
+    return "no"
 
 
 def logged_rmse(flight: Flight) -> float:
@@ -354,7 +362,9 @@ def _short(condition: Condition | None) -> str:
     if condition is None:
         return ""
     text = _number(condition.survivors, 3)
-    return f"{text} ({condition.lost}+{condition.off})" if condition.lost or condition.off else text
+    if condition.lost or condition.off:
+        return f"{text} ({condition.lost}+{condition.off})"
+    return text
 
 
 def _with_sd(values: tuple[float, float], digits: int) -> str:
@@ -362,7 +372,9 @@ def _with_sd(values: tuple[float, float], digits: int) -> str:
 
 
 def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if np.isfinite(value) else "-"
+    if np.isfinite(value):
+        return f"{value:.{digits}f}"
+    return "-"
 
 
 def sun_figure(flown: Mapping[str, Mapping[str, Condition]]) -> Figure:

@@ -160,7 +160,9 @@ class Predicting(Layer):
 
     def inside(self, inputs: InputArrays) -> list[Call]:
         """See Layer: the reference of the time at which a command of now begins to act."""
-        return [python(lambda: inputs.set_reference(self._later(inputs.window)))] if self.about.ahead else []
+        if self.about.ahead:
+            return [python(lambda: inputs.set_reference(self._later(inputs.window)))]
+        return []
 
     def _later(self, window: Window) -> Window:
         """The reference then; states and inputs are asked for then."""

@@ -175,7 +175,9 @@ def believer(controller: Controller, name: str) -> Any:
 
 def known_delay(stated: float | None, controller: Any, name: str) -> float:
     """What an observer is given a delay, else what its controller was given (s)."""
-    return float(getattr(getattr(controller, "settings", None), name, 0.0)) if stated is None else stated
+    if stated is None:
+        return float(getattr(getattr(controller, "settings", None), name, 0.0))
+    return stated
 
 
 def arguments(vehicle: Vehicle, states: int, parameters: int, settings: int) -> dict[str, ca.MX]:
