@@ -193,6 +193,7 @@ def _records(numbers: Mapping[str, Quantity]) -> list[dict[str, Any]]:
     for name, quantity in numbers.items():
         half = quantity.half_width
         record = {"name": name, "value": np.asarray(quantity.value).tolist(), "unit": quantity.unit}
-        record |= {"half_width": None if half is None else np.asarray(half).tolist(), "origin": quantity.origin}
+        record["half_width"] = None if half is None else np.asarray(half).tolist()
+        record["origin"] = quantity.origin
         records.append(record | {"note": quantity.note})
     return records

@@ -125,7 +125,9 @@ def rotorpy(known: Known, firmware: str | None, path: Path) -> Written:
     rows: dict[str, Any] = {"mass": known.vehicle.mass, "num_rotors": known.vehicle.n_rotors}
     rows |= {name.capitalize(): known.vehicle.inertia_matrix[place] for name, place in MOMENTS.items()}
     rows |= {name: number.value for name, number in numbers.items() if name not in ("mass", "inertia")}
-    rows |= {"k_flap": 0.0, "rotor_speed_min": 0.0, "motor_noise_std": 0.0}
+    rows["k_flap"] = 0.0
+    rows["rotor_speed_min"] = 0.0
+    rows["motor_noise_std"] = 0.0
     text = "import numpy as np\n\nquad_params = {\n"
     for name, value in rows.items():
         text += f"    {name!r}: {plain(value)!r},\n"

@@ -163,7 +163,9 @@ class Cascade(Law):
         rate_integral = limited(rate_integral, -bound, bound)
 
         remembered = {"velocity_integral": integral, "velocity": v, "velocity_filter": of_velocity}
-        remembered |= {"rate_integral": rate_integral, "rate": w, "rate_filter": of_rate}
+        remembered["rate_integral"] = rate_integral
+        remembered["rate"] = w
+        remembered["rate_filter"] = of_rate
         return {"command": u, **remembered}
 
 

@@ -253,5 +253,5 @@ def compare(
         say(f"warning: {line}")
     record = without(report, ("lines", "tables"))
     record |= {"picture": out} if out else {}
-    record |= {"checked": [f"{folder}: {files.text()}" for folder, files in checked.items()] + wrong}
+    record["checked"] = [f"{folder}: {files.text()}" for folder, files in checked.items()] + wrong
     return Answer(record, report["tables"], [*report["lines"], *([out] if out else [])])

@@ -103,7 +103,8 @@ def _checkpoint(path: Path) -> Side:
     }
     numbers |= {f"drag_{axis} (1/s)": value for axis, value in zip("xyz", summary["drag"], strict=True)}
     for name, output in summary["outputs"].items():
-        numbers |= {f"{name} signal": output["signal_std"], f"{name} noise": output["noise_std"]}
+        numbers[f"{name} signal"] = output["signal_std"]
+        numbers[f"{name} noise"] = output["noise_std"]
         scales = zip(output["features"], output["lengthscale"], strict=True)
         numbers |= {f"{name} length of {feature}": scale for feature, scale in scales}
     return Side(summary["kind"], {**{name: summary[name] for name in names}, "outputs": features}, numbers)
@@ -293,7 +294,11 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
     for name, missing in only.items():
         if missing:
             lines.append(f"only in {name}  {causes_text(missing)}")
-    report |= {"pairs": len(cells), "only": only, "configuration": {}, "outcome": {}, "metrics": []}
+    report["pairs"] = len(cells)
+    report["only"] = only
+    report["configuration"] = {}
+    report["outcome"] = {}
+    report["metrics"] = []
     if not cells:
         return report | {"lines": [*lines, "no cell is in both: nothing to compare"]}
     settings = _cell_settings(paths, cells)
@@ -305,8 +310,10 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
     metrics = _contestants(cells, labels, records[0])
     lines += [*_setting_lines(settings), "", f"outcome  {changed}"]
     lines += [f"same     {same} of {len(cells)} pairs are the same to the last bit, measured times apart", ""]
-    report |= {"outcome": {f"{was} -> {now}": n for (was, now), n in outcomes.items()}, "identical": same}
-    report |= {"configuration": settings or {}, "metrics": metrics}
+    report["outcome"] = {f"{was} -> {now}": n for (was, now), n in outcomes.items()}
+    report["identical"] = same
+    report["configuration"] = settings or {}
+    report["metrics"] = metrics
     return report | {"lines": [*lines, *_metric_lines(metrics, metric)]}
 
 
@@ -371,8 +378,14 @@ def _contestants(
     tests = int(np.count_nonzero(~np.isnan(corrected)))
     for line, s, p_holm in zip(records, pooled, corrected.tolist(), strict=True):
         s = replace(s, p_holm=p_holm, comparisons=tests)
-        line |= {"pairs": s.pairs, "seeds": s.units, "p": s.p, "p_holm": s.p_holm, "testable": s.testable}
-        line |= {"ratio": -s.reduction, "ratio_low": -s.reduction_high, "ratio_high": -s.reduction_low}
+        line["pairs"] = s.pairs
+        line["seeds"] = s.units
+        line["p"] = s.p
+        line["p_holm"] = s.p_holm
+        line["testable"] = s.testable
+        line["ratio"] = -s.reduction
+        line["ratio_low"] = -s.reduction_high
+        line["ratio_high"] = -s.reduction_low
         line["distinguishable"] = s.significant
     return records
 

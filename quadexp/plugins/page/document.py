@@ -78,7 +78,8 @@ def document(title: str, sections: Sequence[Section], **more: Any) -> str:
     from markupsafe import Markup
 
     environment = Environment(autoescape=True, finalize=_shown, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"typeset": typeset, "cells": lambda texts: [*map(cell_of, texts)]}
+    environment.filters["typeset"] = typeset
+    environment.filters["cells"] = lambda texts: [*map(cell_of, texts)]
     acts = any(block.tab or block.sorts for part in sections for block in part.blocks)
     return environment.from_string(template_text("page.html.j2")).render(
         title=title,

@@ -104,11 +104,14 @@ class BelievedWorld:
         self._places["period"] = np.full(1, settings.control_period)
         self._places["since"] = settings.dead_time + settings.node_times
         if estimator is not None:
-            self._places |= {"settings": estimator.settings, "delays": estimator.delays.numbers}
+            self._places["settings"] = estimator.settings
+            self._places["delays"] = estimator.delays.numbers
         assert mpc.disturbance is not None
         low, high = mpc.limits
         result_places = {"disturbance": mpc.disturbance, "low": low, "high": high, "found": self.numbers}
-        result_places |= {"x_in": np.zeros(N_STATE), "X_moved": solution, "squares": np.zeros(1)}
+        result_places["x_in"] = np.zeros(N_STATE)
+        result_places["X_moved"] = solution
+        result_places["squares"] = np.zeros(1)
         self._in_place = mpc.reference[0].shape[1] == N_STATE  # no thrusts among the states
         wide = tuple(np.zeros_like(array) for array in self._horizon)
         self._left = result_places | named(("X_in", "U_in"), mpc.reference if self._in_place else wide)
@@ -173,7 +176,8 @@ def memory_sizes(vehicle: Vehicle, nodes: int, estimator: Estimator | None) -> d
     sizes = {"origin": 3, "wind": 3, "air": 6 * (nodes + 1)}
     if estimator is not None:
         sizes |= kept_sizes(vehicle.n_rotors, estimator.delays)
-        sizes |= {"flown": 1, "estimate": estimator.update.size1_in("s")}
+        sizes["flown"] = 1
+        sizes["estimate"] = estimator.update.size1_in("s")
     return sizes
 
 
@@ -204,11 +208,17 @@ def enter_function(
     n = vehicle.n_rotors
     rows = samples * nodes + 1
     shapes = {"x": N_STATE, "X_ref": (N_STATE, rows), "U_ref": (n, rows - 1), "times": rows}
-    shapes |= {"period": 1, "X": (width, nodes + 1), "since": nodes + 1}
+    shapes["period"] = 1
+    shapes["X"] = (width, nodes + 1)
+    shapes["since"] = nodes + 1
     if update is None:
-        shapes |= {"belief": N_BELIEF}
+        shapes["belief"] = N_BELIEF
     else:
-        shapes |= {"reading": 3, "speed": n, "fresh": 2, "settings": update.size_in("settings"), "delays": 6}
+        shapes["reading"] = 3
+        shapes["speed"] = n
+        shapes["fresh"] = 2
+        shapes["settings"] = update.size_in("settings")
+        shapes["delays"] = 6
     shapes |= {"theta": parameters} if update is not None or model is not None else {}
     remembered = named_symbols(ca.MX, dict(kept))
     a = named_symbols(ca.MX, shapes) | {NOW + name: value for name, value in remembered.items()}
@@ -247,15 +257,19 @@ def enter_function(
     x = a["x"]
     change = wind - remembered["wind"]
     x_in = ca.vertcat(x[POSITION] - origin, x[ATTITUDE], x[VELOCITY] - wind, x[RATE])
-    next_values |= {"origin": origin, "wind": wind, "air": air}
+    next_values["origin"] = origin
+    next_values["wind"] = wind
+    next_values["air"] = air
     results = {"x_in": x_in, "X_in": X_in, "U_in": U_in, "disturbance": disturbance, "found": belief}
     low = (1 + ROUNDING) * vehicle.thrust_min
     high = (1 - ROUNDING) * vehicle.thrust_max
-    results |= {"low": scale * low * ca.DM.ones(n), "high": scale * high * ca.DM.ones(n)}
+    results["low"] = scale * low * ca.DM.ones(n)
+    results["high"] = scale * high * ca.DM.ones(n)
     squares = ca.sumsqr(x_in) + ca.sumsqr(X_in) + ca.sumsqr(U_in)
     moving = ca.vertcat(change @ (a["since"] - a["period"]).T, ca.DM.zeros(4, nodes + 1))
     moving = ca.vertcat(moving, ca.repmat(change, 1, nodes + 1), ca.DM.zeros(width - VELOCITY.stop, nodes + 1))
-    results |= {"X_moved": ca.if_else(ca.norm_2(change) > MOVED, a["X"] - moving, a["X"]), "squares": squares}
+    results["X_moved"] = ca.if_else(ca.norm_2(change) > MOVED, a["X"] - moving, a["X"])
+    results["squares"] = squares
     results |= {NEXT + name: value for name, value in next_values.items()}
     return named_function("believed_world", a, results)
 
@@ -271,5 +285,6 @@ def _estimated(
     estimate, belief = update(*arguments)
     nothing = ca.DM([0.0] * (N_BELIEF - 2) + [1.0, 1.0])
     flown = ca.fmax(kept["flown"], read)
-    next_values |= {"estimate": ca.if_else(flown, estimate, kept["estimate"]), "flown": ca.DM.ones(1)}
+    next_values["estimate"] = ca.if_else(flown, estimate, kept["estimate"])
+    next_values["flown"] = ca.DM.ones(1)
     return ca.if_else(flown, belief, nothing), next_values

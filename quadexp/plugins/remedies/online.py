@@ -116,8 +116,11 @@ def update_function(
     law = law or Law()
     n = vehicle.n_rotors
     shapes = {"x": N_STATE, "f": 3, "u": n, "path": 6, "belief": len(prior_belief(adapting))}
-    shapes |= {"known_theta": 0 if known is None else len(known.theta)}
-    shapes |= {"variance": 1, "decay": 1, "tracking": 1, "tracking_rate": 1}
+    shapes["known_theta"] = 0 if known is None else len(known.theta)
+    shapes["variance"] = 1
+    shapes["decay"] = 1
+    shapes["tracking"] = 1
+    shapes["tracking_rate"] = 1
     inputs = named_symbols(ca.MX, shapes)
     x, f, u, path, belief, known_theta, variance, decay, tracking, rate = inputs.values()
 
@@ -189,7 +192,9 @@ def _compiled_block(block: Block, law: Law, *arguments: Expression) -> tuple[Exp
     sizes = {"SIZE": h} | {word: int(on) for word, on in chosen.items()}
     shapes = {"belief": block.size, "row": h, "sample": 1, "variance": 1, "decay": 1, "push": 1}
     inputs = {word: dense(size) for word, size in shapes.items()}
-    inputs |= {"root": dense(h, h), "mean": dense(h), "signal": dense(1)}
+    inputs["root"] = dense(h, h)
+    inputs["mean"] = dense(h)
+    inputs["signal"] = dense(1)
     results = {"next": dense(block.size), "weights": dense(h), "innovation": dense(1)}
     kernel = handwritten(name, BLOCK, sizes, inputs, results)
     return tuple(kernel(*arguments, ca.DM(block.root), ca.DM(block.mean), block.signal_variance))

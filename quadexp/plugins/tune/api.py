@@ -75,6 +75,8 @@ def tune(
     with progress_of("flights", progress) as shown:
         tuned = tuned_by(overrides(settings, keywords, lists=True), asked, **place, progress=shown)
     table = Tuning.of(*read_table(Path(folder) / HISTORY, "tuning"), folder)
-    table.attrs |= {"best": tuned.best, "choice": tuned.choice, "lines": list(tuned.lines)}
+    table.attrs["best"] = tuned.best
+    table.attrs["choice"] = tuned.choice
+    table.attrs["lines"] = list(tuned.lines)
     table.attrs["settings"] = dict(tuned.record["settings"])
     return table

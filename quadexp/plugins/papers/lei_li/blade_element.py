@@ -265,7 +265,8 @@ class Identification:
         if self.fit is not None:
             record["estimates"] = named(THETA, self.fit.theta.tolist())
             record["interval_95"] = {name: list(self.fit.interval(name)) for name in THETA}
-            record |= {"accelerometer_offset": self.fit.offset.tolist(), "blocks": self.fit.blocks}
+            record["accelerometer_offset"] = self.fit.offset.tolist()
+            record["blocks"] = self.fit.blocks
         noise = self.noise if self.fit is None else self.fit.noise
         return record | {"note": self.note, "noise": noise, "clips": clips, "skipped": self.skipped}
 

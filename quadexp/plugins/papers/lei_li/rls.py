@@ -69,7 +69,9 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
     n = vehicle.n_rotors
     shapes: dict[str, Any] = {"v": 3, "w": n, "y": 3, "used": len(THETA)}
     for axis, at in AXES.items():
-        shapes |= {f"theta_{axis}": len(at), f"P_{axis}": (len(at), len(at)), f"prior_{axis}": len(at)}
+        shapes[f"theta_{axis}"] = len(at)
+        shapes[f"P_{axis}"] = (len(at), len(at))
+        shapes[f"prior_{axis}"] = len(at)
     inputs = named_symbols(ca.SX, shapes | {"sigma": 1, "forgetting": 1, "lift_weight": 1})
     v, w, y, used, *_, sigma, forgetting, lift_weight = inputs.values()
     coefficients = ca.SX.sym("coefficients", len(THETA))
@@ -108,8 +110,11 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
     speed = abs(v[0]) + abs(v[1])
     weight = ca.if_else(speed > 0, abs(v[0]) / (speed + (speed <= 0)), 0.5)
     thetas = [results[f"new_theta_{axis}"] for axis in AXES]
-    results |= {"raw": _combine(thetas, weight, lift_weight), "error": ca.vertcat(*errors)}
-    results |= {"induced": safe_newton(equation, ITERATIONS), "regressors": ca.densify(regressors), "weight": weight}
+    results["raw"] = _combine(thetas, weight, lift_weight)
+    results["error"] = ca.vertcat(*errors)
+    results["induced"] = safe_newton(equation, ITERATIONS)
+    results["regressors"] = ca.densify(regressors)
+    results["weight"] = weight
     return named_function("rls_step", inputs, named(results, ca.cse([*results.values()])))
 
 
@@ -223,7 +228,9 @@ def remembered(initial: BladeCoefficients, settings: RLSSettings) -> dict[str, n
     kept = {f"theta_{axis}": theta[list(at)] for axis, at in AXES.items()}
     kept |= {f"P_{axis}": np.diag(spread(initial, settings, at)).ravel() for axis, at in AXES.items()}
     used = np.clip(theta, *bounds(initial, settings)) if settings.clip else theta
-    kept |= {"raw": theta, "used": used, "clips": 1.0 * (used != theta)}
+    kept["raw"] = theta
+    kept["used"] = used
+    kept["clips"] = 1.0 * (used != theta)
     ones = {"samples": 0, "skipped": 0, "weight": 0.5, "innovation": 1, "wait": FIRST_WAIT, "reopened": 0}
     return kept | {name: np.array([float(value)]) for name, value in ones.items()}
 
@@ -243,18 +250,24 @@ def update_function(
         arguments[f"theta_{axis}"] = kept[f"theta_{axis}"]
         arguments[f"P_{axis}"] = ca.reshape(kept[f"P_{axis}"], len(at), -1)
         arguments[f"prior_{axis}"] = spread(initial, settings, at)
-    arguments |= {"sigma": settings.noise, "forgetting": settings.forgetting, "lift_weight": settings.lift_weight}
+    arguments["sigma"] = settings.noise
+    arguments["forgetting"] = settings.forgetting
+    arguments["lift_weight"] = settings.lift_weight
     step = rls_step_function(vehicle, gauss_newton=settings.gauss_newton).call(arguments)
     next_values = {name: step[f"new_{name}"] for name in kept if f"new_{name}" in step}
     used = limited(step["raw"], *map(ca.DM, bounds(initial, settings))) if settings.clip else step["raw"]
-    next_values |= {"raw": step["raw"], "used": used, "clips": kept["clips"] + (used != step["raw"])}
-    next_values |= {"samples": kept["samples"] + 1, "weight": step["weight"]}
+    next_values["raw"] = step["raw"]
+    next_values["used"] = used
+    next_values["clips"] = kept["clips"] + (used != step["raw"])
+    next_values["samples"] = kept["samples"] + 1
+    next_values["weight"] = step["weight"]
     if change_threshold is not None:
         square = ca.sumsqr(step["error"] / settings.noise) / 3
         innovation = kept["innovation"] + (square - kept["innovation"]) / INNOVATION_SAMPLES
         wait = kept["wait"] - 1
         changed = ca.logic_and(wait <= 0, innovation > change_threshold)
-        next_values |= {"innovation": innovation, "wait": ca.if_else(changed, NEXT_WAIT, wait)}
+        next_values["innovation"] = innovation
+        next_values["wait"] = ca.if_else(changed, NEXT_WAIT, wait)
         next_values["reopened"] = kept["reopened"] + changed
         for axis in "xyz":
             next_values[f"P_{axis}"] = ca.if_else(changed, start[f"P_{axis}"], ca.vec(next_values[f"P_{axis}"]))

@@ -49,7 +49,10 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) 
     n = vehicle.n_rotors
     model = corrected_function(vehicle, residual)
     shapes = {"x": N_STATE, "commands": (n, commands), "weights": (commands, parts), "dt": parts}
-    shapes |= {"theta": residual.function.size1_in(1), "wind": 3, "push": 6, "scale": 1}
+    shapes["theta"] = residual.function.size1_in(1)
+    shapes["wind"] = 3
+    shapes["push"] = 6
+    shapes["scale"] = 1
     arguments = named_symbols(ca.MX, shapes)
     x = arguments["x"]
     dt = arguments["dt"]

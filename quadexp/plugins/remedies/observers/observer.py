@@ -184,5 +184,6 @@ def arguments(vehicle: Vehicle, states: int, parameters: int, settings: int) -> 
     """Symbols of an update's arguments, in their order."""
     n = vehicle.n_rotors
     sizes = {"s": states, "x": 13, "reading": 3, "read": 1, "thrust": n, "mean": n}
-    sizes |= {"theta": parameters, "settings": settings}
+    sizes["theta"] = parameters
+    sizes["settings"] = settings
     return named_symbols(ca.MX, sizes)

@@ -111,7 +111,8 @@ class Feedback(FeedbackSettings, Law):
             result = _fixed_point(law, arguments, last, self.inner_iterations)
         results |= {name: result[name] for name in last} | {"observer": ca.vec(result["observer"])}
         results |= named(("phi_d", "theta_d"), ca.vertsplit(result["eta_d"][:2]))
-        results |= {"error_eta": ca.norm_2(result["error"]), "cone": result["outside"]}
+        results["error_eta"] = ca.norm_2(result["error"])
+        results["cone"] = result["outside"]
         results |= {name: result[name] for name in ("floored", "limited")}
         return results | {"command": result["thrust"], "held": result["floored"] + result["limited"]}
 
