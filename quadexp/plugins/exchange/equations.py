@@ -90,23 +90,22 @@ def c(known: Known, firmware: str | None, path: Path) -> Written:
 def python_text(function: ca.Function) -> str:
     """A module with `model()`, which builds the function from its operations, one a line, by their names."""
     names = {code: name for name, code in vars(import_module("casadi")).items() if name.startswith("OP_")}
-    lines = [
-        f'"""{STATE}; u: thrusts of the rotors (N)."""',
-        "from math import inf, nan",
-        "",
-        "import casadi as ca",
-        "",
-        "one, two = ca.SX.unary, ca.SX.binary",
-        "",
-        "",
-        "def model():",
-        f'    x, u = ca.SX.sym("x", {function.size1_in(0)}), ca.SX.sym("u", {function.size1_in(1)})',
-        f"    a, y, w = [x, u], [0] * {function.size1_out(0)}, [0] * {function.sz_w()}",
-    ]
-    for i in range(function.n_instructions()):
-        lines.append(f"    {_statement(function, i, names)}")
-    lines.append('    return ca.Function("model", [x, u], [ca.vertcat(*y)], ["x", "u"], ["x_dot"])')
-    return "\n".join(lines) + "\n"
+    statements = [f"    {_statement(function, i, names)}" for i in range(function.n_instructions())]
+    body = "\n".join(statements)
+    return f'''"""{STATE}; u: thrusts of the rotors (N)."""
+from math import inf, nan
+
+import casadi as ca
+
+one, two = ca.SX.unary, ca.SX.binary
+
+
+def model():
+    x, u = ca.SX.sym("x", {function.size1_in(0)}), ca.SX.sym("u", {function.size1_in(1)})
+    a, y, w = [x, u], [0] * {function.size1_out(0)}, [0] * {function.sz_w()}
+{body}
+    return ca.Function("model", [x, u], [ca.vertcat(*y)], ["x", "u"], ["x_dot"])
+'''
 
 
 def _statement(function: ca.Function, i: int, names: dict[int, str]) -> str:

@@ -128,15 +128,20 @@ def rotorpy(known: Known, firmware: str | None, path: Path) -> Written:
     rows["k_flap"] = 0.0
     rows["rotor_speed_min"] = 0.0
     rows["motor_noise_std"] = 0.0
-    text = "import numpy as np\n\nquad_params = {\n"
-    for name, value in rows.items():
-        text += f"    {name!r}: {plain(value)!r},\n"
-    text += "    'rotor_pos': {\n"
-    for i, position in enumerate(known.vehicle.rotor_position):
-        text += f"        'r{i + 1}': np.array({plain(position)!r}),\n"
-    text += (
-        f"    }},\n    'rotor_directions': np.array({plain(known.vehicle.rotor_spin)!r}),\n    'rI': np.zeros(3),\n}}\n"
-    )
+    settings = "\n".join(f"    {name!r}: {plain(value)!r}," for name, value in rows.items())
+    places = enumerate(known.vehicle.rotor_position, 1)
+    positions = "\n".join(f"        'r{i}': np.array({plain(position)!r})," for i, position in places)
+    text = f"""import numpy as np
+
+quad_params = {{
+{settings}
+    'rotor_pos': {{
+{positions}
+    }},
+    'rotor_directions': np.array({plain(known.vehicle.rotor_spin)!r}),
+    'rI': np.zeros(3),
+}}
+"""
     lost += ["k_d by axis: one for x and y, their mean", "gains of RotorPy's own loops (k_w, k_v, kp_att, kd_att)"]
     return Written(text, numbers, [*lost, *hub_lost(known, air)])
 
