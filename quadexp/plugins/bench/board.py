@@ -12,7 +12,7 @@ import numpy as np
 from quadexp.errors import UsageError
 from quadexp.log.store import read_table, read_text, write_table
 from quadexp.names import distinct
-from quadexp.plugins.bench.protocol import FORMER, SHORT
+from quadexp.plugins.bench.protocol import SHORT
 from quadexp.plugins.bench.ranking import Row, Standing, cell_of, standings
 from quadexp.provenance import provenance
 from quadexp.report.inference import least_seeds
@@ -73,11 +73,6 @@ def check_alike(rows: Sequence[Row], sha256: str, size: str, where: str) -> None
     """Raise UsageError where some rows are not of this protocol and size."""
     for name, what, asked in (("protocol_sha256", "protocol", sha256[:SHORT]), ("size", "size", size)):
         others = sorted({str(row[name])[: SHORT if what == "protocol" else None] for row in rows} - {asked})
-        if others and others[0] in FORMER:
-            raise UsageError(
-                f"{where}: is of protocol {FORMER[others[0]]}, which is flown no more: fly its entries again, with"
-                " `quadexp bench --controller NAME`"
-            )
         if others:
             raise UsageError(
                 f"{where}: is of {what} {', '.join(others)}, not {asked}: results of different {what}s are not ranked"

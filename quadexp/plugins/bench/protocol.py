@@ -28,8 +28,6 @@ from quadexp.parts.settings import plain
 from quadexp.report.text import count
 
 SHORT = 12  # hex digits of a hash
-# sha256 of former versions, whose rows no configuration flies any more.
-FORMER = {"2c16fac43eb2": "v1", "b7bee243bba3": "v2"}
 
 
 @dataclass(frozen=True)
