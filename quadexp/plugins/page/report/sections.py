@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -62,14 +62,6 @@ def numbers_section(page: Page) -> Section:
 
 def swept_section(page: Page) -> Section:
     return page.swept
-
-
-def worst_section(page: Page) -> Section:
-    return worst(page.comparison, worst_rows(page.comparison))
-
-
-def origin_section(page: Page) -> Section:
-    return origin(page.comparison, records(page.comparison), page.command, page.left_out)
 
 
 def scoreboard(comparison: Comparison) -> Table:
@@ -159,10 +151,12 @@ def worst_rows(comparison: Comparison, most: int = WORST) -> list[Mapping[str, A
     return chosen[:most]
 
 
-def worst(comparison: Comparison, rows: Sequence[Mapping[str, Any]]) -> Section:
+def worst_section(page: Page) -> Section:
     """A line a flight, and the commands that fly them again."""
-    bad, bad_shown = (sum(row["outcome"] != "ok" for row in flights) for flights in (comparison.rows, rows))
-    hidden = bad - bad_shown
+    comparison = page.comparison
+    rows = worst_rows(comparison)
+    shown_keys = {row["key"] for row in rows}
+    hidden = sum(row["outcome"] != "ok" and row["key"] not in shown_keys for row in comparison.rows)
     more = f"; {hidden} more were not completed (`quadexp results DIR --failures` lists them)" if hidden else ""
     lead = (
         f"Flights that were not completed, then the largest errors of every controller: {len(rows)} of"
@@ -194,15 +188,14 @@ def _flight_title(comparison: Comparison, row: Mapping[str, Any]) -> str:
     return f"{comparison.course_title(condition)}{rate}, seed {int(row['seed'])}"
 
 
-def records(comparison: Comparison) -> list[Record]:
-    """Metadata of at most LOOKED_AT flights, spread over all of them."""
-    rows = comparison.sampled(LOOKED_AT)
-    return [record for row in rows if (record := comparison.flight_record(row)) is not None]
-
-
-def origin(comparison: Comparison, flights: Sequence[Record], command: str, left_out: Sequence[str]) -> Section:
-    """Where every number comes from, and the commands that make it again. flights: metadata. command: of the page."""
-    about = facts(comparison, flights) + ([("Left out", "; ".join(left_out))] if left_out else [])
+def origin_section(page: Page) -> Section:
+    """Where every number comes from, and the commands that make it again."""
+    comparison = page.comparison
+    looked_at = map(comparison.flight_record, comparison.sampled(LOOKED_AT))
+    flights = [record for record in looked_at if record is not None]
+    about = facts(comparison, flights)
+    if page.left_out:
+        about.append(("Left out", "; ".join(page.left_out)))
     grids = [tuple(tuple(map(comparison.anywhere, texts)) for texts in grid) for grid in comparison.grids]
     models = {row["model"] for row in comparison.rows if row["model"]}
     sentences = [
@@ -211,7 +204,7 @@ def origin(comparison: Comparison, flights: Sequence[Record], command: str, left
     # With other paths they are other cells, which the folder of these does not take.
     place = comparison.place(comparison.root) + ("_again" if sentences or grids != comparison.grids else "")
     sweep = sweep_command(grids, place, [*comparison.conf, *sentences])
-    blocks = [Block(facts=about, code=[*filter(None, (sweep, command))])]
+    blocks = [Block(facts=about, code=[*filter(None, (sweep, page.command))])]
     if rows := settings(flights):
         tables = {"settings": Table(["setting", "value"], rows)}
         blocks.append(Block("Settings of the flights, those that differ first", tables=tables, folded=True))
@@ -230,23 +223,18 @@ def facts(comparison: Comparison, flights: Sequence[Record]) -> list[tuple[str, 
     models = {f"{f['model']}, sha256 {f.get('model_sha256', '')}" for f in flights if f.get("model")}
     created = comparison.record.get("provenance", {}).get("created", "")
     versions = ", ".join(f"{name} {version}" for name, version in versions_of(comparison.rows).items())
+    loops = ((flight.get("controller", ""), margin_line(flight.get("margins"))) for flight in flights)
     entries = [
         ("Results", f"{len(comparison.rows)} flights, sha256 {comparison.digest}"),
         ("Files", " ".join(filter(None, (f"{comparison.checked.text()}.", *comparison.checked.lines())))),
         ("Seeds", ", ".join(map(str, sorted({int(row["seed"]) for row in comparison.rows})))),
         ("Made", ", commit ".join(filter(None, (created, ", ".join(sorted(commits)))))),
         ("Machine", "; ".join(sorted(machines))),
-        *(("Loop", line) for line in margins(flights)),
+        *(("Loop", line) for line in distinct(f"{name}: {line}" for name, line in loops if line)),
         *(("Checkpoint", model) for model in sorted(models)),
         ("Versions", versions),
     ]
     return [(term, text) for term, text in entries if text]
-
-
-def margins(flights: Iterable[Record]) -> list[str]:
-    """Controller and margins of its loop; several lines for one whose settings vary."""
-    lines = ((f.get("controller", ""), margin_line(f.get("margins"))) for f in flights)
-    return distinct(f"{name}: {line}" for name, line in lines if line)
 
 
 def settings(flights: Sequence[Record]) -> list[list[str]]:
