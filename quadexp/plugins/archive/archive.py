@@ -28,6 +28,7 @@ from quadexp.parts.settings import read_value
 from quadexp.plugins.archive.cite import bibtex
 from quadexp.provenance import content_hash, folder_files
 from quadexp.report.frame import read_results
+from quadexp.report.pairing import Rows
 from quadexp.report.text import count
 from quadexp.writer import check_output, written
 
@@ -174,9 +175,7 @@ def versions_text(record: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def readme(
-    rows: Sequence[Mapping[str, Any]], record: Mapping[str, Any], conf: Iterable[str], names: Sequence[str]
-) -> str:
+def readme(rows: Rows, record: Mapping[str, Any], conf: Iterable[str], names: Sequence[str]) -> str:
     """What the archive is, and its commands; each runs in the folder that it is unpacked into."""
     folders = [word for folder in distinct(conf) for word in ("--conf", folder)]
     fly = ["quadexp", "evaluate", "--sweep", *folders, f"experiment={','.join(names)}", "--out", "results_again"]

@@ -22,18 +22,15 @@ the ratio to the baseline does not.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.stats import rankdata
 
 from quadexp.names import named
 from quadexp.report.inference import NO_INTERVAL, Ratio, least_seeds, log_ratio, mean_interval, paired_permutation
-from quadexp.report.pairing import grouped, seed_means, whole
-
-Row = Mapping[str, Any]
+from quadexp.report.pairing import Row, Rows, grouped, seed_means, whole
 
 
 @dataclass(frozen=True)
@@ -64,7 +61,7 @@ class Standing:
 
 
 def standings(
-    rows: Sequence[Row], *, metric: str = "mean_error", baseline: str = "", confidence: float = 0.95
+    rows: Rows, *, metric: str = "mean_error", baseline: str = "", confidence: float = 0.95
 ) -> list[Standing]:
     """The board of one family: ranked entries by place, then bounds by their lost flights and ratio.
 

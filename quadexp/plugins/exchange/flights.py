@@ -49,12 +49,10 @@ def write_poses(flight: Flight, path: Path, *, force: bool = True) -> dict[str, 
     if all(name in flight.columns for name in wanted):
         files["reference"] = check_output(path.with_name(f"{path.stem}_reference{path.suffix}"), force=force)
         poses["reference"] = flight.stack(wanted)
-    return {name: write_text(files[name], _tum(flight.t, pose), force=force) for name, pose in poses.items()}
-
-
-def _tum(t: np.ndarray, pose: np.ndarray) -> str:
-    lines = [" ".join(map(repr, row)) for row in np.column_stack([t, pose]).tolist()]
-    return "\n".join(["# t x y z qx qy qz qw", *lines]) + "\n"
+    for name, pose in poses.items():
+        lines = [" ".join(map(repr, row)) for row in np.column_stack([flight.t, pose]).tolist()]
+        write_text(files[name], "\n".join(["# t x y z qx qy qz qw", *lines]) + "\n", force=force)
+    return files
 
 
 def write_recording(flight: Flight, path: Path, *, force: bool = True) -> dict[str, Path]:

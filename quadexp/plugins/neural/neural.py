@@ -330,7 +330,11 @@ def _train(
     def loss(values: np.ndarray) -> tuple[float, np.ndarray]:
         flat = torch.tensor(values, dtype=torch.float64, requires_grad=True)
         weights, biases = parts(flat)
-        error = (_forward(inputs, weights, biases) - target).square().mean()
+        x = inputs
+        for w, b in zip(weights[:-1], biases[:-1], strict=True):
+            t = x @ w.T + b
+            x = t * (1 + t * t).rsqrt()
+        error = (x @ weights[-1].T + biases[-1] - target).square().mean()
         value = error + settings.penalty * torch.stack([w.square().mean() for w in weights]).sum()
         value.backward()
         return value.item(), flat.grad.numpy()
@@ -352,10 +356,3 @@ def _train(
     )
     weights, biases = ([part.numpy().copy() for part in layers] for layers in parts(torch.tensor(result.x)))
     return weights, biases
-
-
-def _forward(x: torch.Tensor, weights: list[torch.Tensor], biases: list[torch.Tensor]) -> torch.Tensor:
-    for w, b in zip(weights[:-1], biases[:-1], strict=True):
-        t = x @ w.T + b
-        x = t * (1 + t * t).rsqrt()
-    return x @ weights[-1].T + biases[-1]

@@ -33,6 +33,7 @@ from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, metric_of
 from quadexp.report.pairing import (
     Row,
+    Rows,
     causes_text,
     common,
     condition_of,
@@ -252,7 +253,7 @@ def _paths(a: Flight, b: Flight) -> dict[str, Any]:
 
 
 # ------------------------------------------------------------------------------------------------------------- results
-def matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
+def matched(*tables: Rows) -> list[dict[Key, Row]]:
     """Rows by condition, contestant and seed; with the checkpoint only where it distinguishes contestants."""
     contestants = ((side, who) for side, rows in enumerate(tables) for who in set(map(contestant_of, rows)))
     models = Counter((side, controller, variant) for side, (controller, _, variant) in contestants)
@@ -317,7 +318,7 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
     return report | {"lines": [*lines, *_metric_lines(metrics, metric)]}
 
 
-def _mean(rows: Sequence[Row], metric: str) -> float:
+def _mean(rows: Rows, metric: str) -> float:
     if rows:
         return sum(row[metric] for row in rows) / len(rows)
     return math.nan

@@ -6,14 +6,12 @@ The table is that of the results, of the flights that are there: over common fli
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
-from typing import Any
 
 from quadexp.plugins.page.document import Block, Section, document
 from quadexp.report.metrics import metric_of
-from quadexp.report.pairing import is_invalid
+from quadexp.report.pairing import Row, is_invalid
 from quadexp.report.table import Table
 from quadexp.report.tables import error_table
 from quadexp.report.text import shown
@@ -30,7 +28,7 @@ class Live:
     elapsed: float = 0.0
     before: int = 0
     state: str = "running"
-    rows: list[Mapping[str, Any]] = field(default_factory=list)
+    rows: list[Row] = field(default_factory=list)
 
     @property
     def done(self) -> int:

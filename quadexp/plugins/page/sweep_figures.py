@@ -6,7 +6,7 @@ Nothing here imports matplotlib before a figure is drawn.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.names import distinct, file_name
 from quadexp.plugins.page.view import View, automatic
 from quadexp.report.frame import SweepFrame
-from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_flown
+from quadexp.report.pairing import Row, Rows, condition_of, contestant_labels, contestant_of, is_flown
 from quadexp.report.tables import course_labels
 from quadexp.report.text import speed_text
 from quadexp.sweeps.engine import Workers, cause
@@ -27,8 +27,6 @@ from quadexp.writer import clean, remove
 FOLDER = "figures"
 LONGEST = 600.0  # s that one figure may take
 MAX_CONDITIONS = 3  # of tracked paths side by side
-
-Row = Mapping[str, Any]
 
 
 class Drawing(NamedTuple):
@@ -46,9 +44,7 @@ def draw(drawing: Drawing, path: Path) -> None:
     save(drawing.make(*drawing.inputs), path, path.parent.parent)
 
 
-def drawings(
-    rows: Sequence[Row], out: str | Path, metric: str, confidence: float, record: Row | None = None
-) -> list[Drawing]:
+def drawings(rows: Rows, out: str | Path, metric: str, confidence: float, record: Row | None = None) -> list[Drawing]:
     """The figures of these rows, the one that takes longest first. out: folder of the results. record: of the results,
     which says what was swept; without it the rows do, as far as they can."""
     store = CellStore(out)
@@ -71,7 +67,7 @@ class PathGrid(NamedTuple):
     left_out: list[str]
 
 
-def path_grids(rows: Sequence[Row]) -> dict[str, PathGrid]:
+def path_grids(rows: Rows) -> dict[str, PathGrid]:
     """By trajectory with a completed flight. Of many speeds the slowest, the fastest, one between; where
     worlds and other settings differ too, the fastest of each."""
     names = contestant_labels(distinct(map(contestant_of, rows)))
@@ -155,7 +151,7 @@ class SweepFigures:
         """The SVG; the PNG lies beside it."""
         return self._out / FOLDER / f"{file_name(name)}.svg"
 
-    def begin(self, rows: Sequence[Row], record: Row | None = None) -> None:
+    def begin(self, rows: Rows, record: Row | None = None) -> None:
         """Begin to draw the figures of the rows. The flights must be on disk. record: of the results, which says what
         was swept."""
         try:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from quadexp.log.schema import Flight
 from quadexp.physics.state import root_mean_square
 from quadexp.plugins.papers.lei_li.report import flown, titled, without_corridor
 from quadexp.report.metrics import position_error
+from quadexp.report.pairing import Rows
 from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.table import Table
 
@@ -21,7 +21,7 @@ TITLES = {
 }
 
 
-def draw(rows: Sequence[Mapping[str, Any]], out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
+def draw(rows: Rows, out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
     """Table and figure, of the flights whose vehicle changes."""
     flights: dict[str, dict[str, Flight]] = {}
     for row, flight in flown(without_corridor(rows), out):

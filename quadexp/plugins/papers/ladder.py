@@ -8,14 +8,14 @@ those of one plant in several worlds (`plant` is "simplified/only_motor_lag"), f
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from quadexp.names import distinct
 from quadexp.plugins.page.draw import figure_of
 from quadexp.plugins.page.view import Axis, Place, View
-from quadexp.report.pairing import contestant_labels, grouped
+from quadexp.report.pairing import Rows, contestant_labels, grouped
 from quadexp.report.paper_cells import Point
 from quadexp.report.statistics import Statistic, compute_statistics
 from quadexp.report.style import Figure
@@ -23,7 +23,6 @@ from quadexp.report.table import Table
 from quadexp.report.tables import course_labels
 from quadexp.report.text import speed_text
 
-Row = Mapping[str, Any]
 First = Literal["plant", "world"]
 TITLE = "Mean distance of the true position from the reference over the flight (mm), mean over seeds"
 
@@ -37,17 +36,17 @@ class Means(NamedTuple):
     places: dict[tuple[str, str, float], dict[str, Statistic]]
 
 
-def draw(rows: Sequence[Row], out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
+def draw(rows: Rows, out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
     """Table and figure of the ladder."""
     return {"ladder": overview(rows).markdown()}, {"ladder": means_figure(means_by_place(rows, "world"))}
 
 
-def overview(rows: Sequence[Row]) -> Table:
+def overview(rows: Rows) -> Table:
     """Mean position error (mm) by world and controller, of every trajectory and speed."""
     return means_table(means_by_place(rows, "world"), TITLE)
 
 
-def means_by_place(rows: Sequence[Row], first: First, order: Sequence[str] = ()) -> Means:
+def means_by_place(rows: Rows, first: First, order: Sequence[str] = ()) -> Means:
     """Statistics of the mean error: courses in the order of the rows, speeds ascending. order: of labels that come
     before the others."""
     statistics = compute_statistics(rows, metrics=("mean_error",))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import json
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -212,17 +212,14 @@ class Search:
             return Worth(2 * LOST * (2 if least else 1), np.nan, self.flights, np.nan)
         if first and (broken := [row for row in rows if row["outcome"] in ("failed", "infeasible")]):
             raise QuadexpError(f"{request.given[0]} cannot be flown as it is: {broken[0]['cause']}")
-        margins = [self._margin(row) for row in rows] if least else []
-        if first and least and not np.isfinite(margins).any():
+        known = []
+        for row in rows:
+            if least and row["outcome"] != "failed":
+                margins = read_record(self.store.path(row["key"]), "flight").get("margins") or {}
+                known += [float(margins["delay"])] if "delay" in margins else []
+        if first and least and not known:
             raise UsageError(f"--delay-margin: none is known of {self.config.controller.name}")
-        known = [margin for margin in margins if np.isfinite(margin)]
         return worth(rows, self._durations, metric=request.metric, margins=known, least_margin=least)
-
-    def _margin(self, row: Mapping[str, Any]) -> float:
-        if row["outcome"] == "failed":
-            return np.nan
-        margins = read_record(self.store.path(row["key"]), "flight").get("margins") or {}
-        return float(margins.get("delay", np.nan))
 
 
 def best_of(trials: Sequence[Trial]) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ from quadexp.plugins.page.report.source import Comparison, Record
 from quadexp.report.checked import versions_of
 from quadexp.report.metrics import metric_of, position_error, tabled
 from quadexp.report.notes import table_notes
-from quadexp.report.pairing import Condition, Groups, condition_of, grouped
+from quadexp.report.pairing import Condition, Groups, Row, condition_of, grouped
 from quadexp.report.significance import Tests
 from quadexp.report.statistics import Statistic
 from quadexp.report.summary import margin_line
@@ -131,16 +131,16 @@ def _number_block(comparison: Comparison, metric: str) -> Block:
     return Block(metric_of(metric).title, metric, tables=tables, notes=table_notes(statistics, tests))
 
 
-def worst_rows(comparison: Comparison, most: int = WORST) -> list[Mapping[str, Any]]:
+def worst_rows(comparison: Comparison, most: int = WORST) -> list[Row]:
     """Flights that were not completed, then the largest errors: the worst seed of each contestant and condition, at
     most EACH per contestant."""
 
-    def badness(row: Mapping[str, Any]) -> tuple[Any, ...]:
+    def badness(row: Row) -> tuple[Any, ...]:
         order = ENDS.index(row["outcome"]) if row["outcome"] in ENDS else 0
         error = row["max_error"]
         return order, -(error if error is not None and math.isfinite(error) else 0.0)
 
-    chosen: list[Mapping[str, Any]] = []
+    chosen: list[Row] = []
     conditions: dict[str, list[Condition]] = {}
     for row in sorted(comparison.rows, key=badness):
         seen = conditions.setdefault(comparison.label(row), [])
@@ -172,20 +172,16 @@ def worst_section(page: Page) -> Section:
             largest = f"{number(1e3 * row['max_error'])} mm"
             if "thinned" not in flight.metadata:
                 when = f"at {flight.t[int(np.argmax(position_error(flight)))]:.1f} s"
+        condition = condition_of(row)
+        rate = "" if condition.speed is None else f" at {speed_text(condition.speed)}"
+        title = f"{comparison.course_title(condition)}{rate}, seed {int(row['seed'])}"
         why = ": ".join(filter(None, (row["outcome"].replace("_", " "), row.get("cause"))))
         lost = "" if row["outcome"] == "ok" else why
-        lines.append([Cell(label, mark=label), Cell(_flight_title(comparison, row), lost=lost), Cell(largest, (when,))])
+        lines.append([Cell(label, mark=label), Cell(title, lost=lost), Cell(largest, (when,))])
     commands = [*filter(None, map(comparison.command, rows))]
     blocks = [Block(tables={"worst": Table(["controller", "flight", "largest error"], lines)})]
     blocks += [Block("Commands that fly them again", code=commands, folded=True)] if commands else []
     return Section("worst", "Worst", "Worst flights", lead, blocks)
-
-
-def _flight_title(comparison: Comparison, row: Mapping[str, Any]) -> str:
-    """Such as "circle, payload 0.1 kg at 8 m/s, seed 3", with plant and vehicle where there are several."""
-    condition = condition_of(row)
-    rate = "" if condition.speed is None else f" at {speed_text(condition.speed)}"
-    return f"{comparison.course_title(condition)}{rate}, seed {int(row['seed'])}"
 
 
 def origin_section(page: Page) -> Section:

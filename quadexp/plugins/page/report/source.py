@@ -32,6 +32,7 @@ from quadexp.report.pairing import (
     Contestant,
     Flights,
     Groups,
+    Row,
     World,
     condition_of,
     contestant_labels,
@@ -65,7 +66,7 @@ class Comparison:
 
     root: Path
     rows: list[dict[str, Any]]
-    record: Mapping[str, Any]
+    record: Record
     statistics: Statistics
     metric: str
     baseline: str
@@ -81,7 +82,7 @@ class Comparison:
     def contestants(self) -> dict[str, Contestant]:
         return {label: contestant for contestant, label in self.labels.items()}
 
-    def label(self, row: Mapping[str, Any]) -> str:
+    def label(self, row: Row) -> str:
         return self.labels[contestant_of(row)]
 
     @cached_property
@@ -238,7 +239,7 @@ class Comparison:
         """The grids of the sweep; empty if the record does not have them."""
         return [tuple(map(tuple, grid)) for grid in self.record.get("grids", [])]
 
-    def asked(self, row: Mapping[str, Any]) -> tuple[str, ...]:
+    def asked(self, row: Row) -> tuple[str, ...]:
         """The overrides of a row's cell; empty if the record does not have them."""
         cells = Combinations(self.grids)
         places = (i for i, other in enumerate(self.rows) if other["key"] == row["key"])
@@ -246,7 +247,7 @@ class Comparison:
             return cells.overrides(next(places))
         return ()
 
-    def command(self, row: Mapping[str, Any]) -> str:
+    def command(self, row: Row) -> str:
         """What flies a row again in any folder; "" where the record of the results does not say."""
         asked = {text.partition("=")[0]: self.anywhere(text) for text in self.asked(row)}
         words = {key: text for key, text in asked.items() if is_read(key, "simulate")}
@@ -302,14 +303,14 @@ class Comparison:
         rate = ((record or {}).get("config", {}).get("controller") or {}).get("rate")
         return 1 / rate if rate else math.nan
 
-    def flight_record(self, row: Mapping[str, Any]) -> dict[str, Any] | None:
+    def flight_record(self, row: Row) -> dict[str, Any] | None:
         """Metadata of a row's flight; None if its file is missing, or was changed since it was written."""
         try:
             return read_record(CellStore(self.root).path(row["key"]), "flight")
         except (UsageError, DataError):
             return None
 
-    def flight(self, row: Mapping[str, Any]) -> Flight | None:
+    def flight(self, row: Row) -> Flight | None:
         """The flight of a row; None if its file is missing, was changed, or holds no samples."""
         if self.flight_record(row) is None:  # Arrow can end the process over bytes that were changed
             return None

@@ -19,11 +19,10 @@ from quadexp.log.store import read_flight
 from quadexp.names import named
 from quadexp.physics.rotor import THETA
 from quadexp.report.metrics import position_error
+from quadexp.report.pairing import Row, Rows
 from quadexp.report.style import COLOURS, DASHES, GREY, Figure, entries, looks, plain_log, styled
 from quadexp.report.table import Table
 from quadexp.report.text import speed_text
-
-Row = Mapping[str, Any]
 
 SHOWN = ("rls_feedback", "static_feedback", "oracle_feedback", "literal_feedback")
 EXPECTED = {  # trajectory, speed (m/s) -> time average of ||e_xi|| over 60 s (m) of each of SHOWN
@@ -50,7 +49,7 @@ def flown(rows: Iterable[Row], out: Path) -> list[tuple[Row, Flight]]:
     return [(row, read_flight(store.path(row["key"]), whole=True)) for row in rows if row["outcome"] in ("ok", "lost")]
 
 
-def draw(rows: Sequence[Row], out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
+def draw(rows: Rows, out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
     """Figures 2-4 of the paper, at its speed and as printed (without the cone), and the table of all."""
     rows = without_corridor(rows)
     printed = [row for row in rows if "cone=true" not in row["variant"].lower()]
@@ -77,7 +76,7 @@ def draw(rows: Sequence[Row], out: Path) -> tuple[dict[str, str], dict[str, Figu
     return tables, figures
 
 
-def expected_table(rows: Sequence[Row], heights: Mapping[str, float] | None = None) -> str:
+def expected_table(rows: Rows, heights: Mapping[str, float] | None = None) -> str:
     """Markdown: time average of ||e_xi|| measured and expected, the highest point, and outcomes, by case.
 
     heights: key of a row -> highest altitude of its flight (m). Expected values are for the law as printed, without the

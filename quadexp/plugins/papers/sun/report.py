@@ -16,7 +16,7 @@ the instant of the reference and the command that are recorded with it:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ from quadexp.plugins.page.view import Axis, Place, View
 from quadexp.plugins.papers.sun.data import CRASHED, FLIGHTS, INFEASIBLE, Ellipse, Published, ellipses, published
 from quadexp.reference.ellipse import Ellipse as ReferenceEllipse
 from quadexp.report.inference import holm, mean_interval, paired_permutation
-from quadexp.report.pairing import grouped
+from quadexp.report.pairing import Row, Rows, grouped
 from quadexp.report.paper_cells import Point
 from quadexp.report.style import Figure
 from quadexp.report.table import Table
@@ -75,8 +75,6 @@ OURS = "sun_mpc"  # the controller others are compared with
 KNOWN_AGE = "+strapdown"  # late rows have it, others need not
 SENSOR = ",sensor="  # behind a world's name: sensors that are not exact
 PUBLISHED = ("sun_nmpc", "sun_dfbc", "sun_nmpc+indi", "sun_dfbc+indi")
-
-Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -119,6 +117,12 @@ class Condition:
         could = np.array([_possible(row) for row in rows], bool)
         numbers += [int(could.sum()), int((lost & could).sum()), _mean(position[~lost & could])]
         return cls(*numbers)
+
+    @property
+    def texts(self) -> list[str]:
+        """Position, the same as logged, heading, and how many are lost or off."""
+        lost = f"{self.lost} + {self.off}" if self.off else str(self.lost)
+        return [_with_sd(self.position, 3), _with_sd(self.logged, 3), _with_sd(self.heading, 1), lost]
 
 
 def _mean(values: np.ndarray) -> float:
@@ -203,7 +207,7 @@ def with_logged(rows: Iterable[Row], out: str | Path) -> list[dict[str, Any]]:
     ]
 
 
-def draw(rows: Sequence[Row], out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
+def draw(rows: Rows, out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
     """Tables and figure of a sweep."""
     flown = conditions(with_logged(rows, out))
     texts = [sun_table(flown), *(table.markdown() for table in [compared(rows)] if table.rows)]
@@ -266,9 +270,7 @@ def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
     lines = []
     verdicts: dict[str, list[str]] = {"true position": [], "as logged": []}
     for world, ours in worlds.items():
-        errors = [_with_sd(ours.position, 3), _with_sd(ours.logged, 3), _with_sd(ours.heading, 1)]
-        lost = f"{ours.lost} + {ours.off}" if ours.off else str(ours.lost)
-        line = [TITLES.get(world, world), *errors, lost, _number(ours.survivors, 3)]
+        line = [TITLES.get(world, world), *ours.texts, _number(ours.survivors, 3)]
         beside = [""] * 6
         if (theirs := printed.get((world, name))) is not None:
             verdicts["true position"].append(reproduced(ours.position[0], ours.survivors, theirs))
@@ -293,7 +295,11 @@ def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
         "reproduced",
         "as logged",
     )
-    notes = [_verdict(title, texts) for title, texts in verdicts.items() if texts]
+    notes = []
+    for title, texts in verdicts.items():
+        if texts:
+            counts = ", ".join(f"{word} {texts.count(word)}" for word in ("yes", "crashes", "no"))
+            notes.append(f"Mean position within {CLOSE:.0%} of the printed one, {title}: {counts} of {len(texts)}")
     flights = ", ".join(str(number) for number in sorted({condition.flights for condition in worlds.values()}))
     title = f"{name}: mean (SD) over {flights} flights of the RMSE; a lost flight counts {CRASHED[0]:g} m"
     return Table(heads, lines, title, notes=[*notes, *_apart(name, worlds)]).markdown()
@@ -306,11 +312,10 @@ def _against_best(name: str, worlds: Mapping[str, Condition]) -> str:
         best[world] = min(theirs.position, best.get(world, math.inf))
     lines = []
     for world, ours in worlds.items():
-        lost = f"{ours.lost} + {ours.off}" if ours.off else str(ours.lost)
         possible = f"{_number(ours.possible_position, 3)} ({ours.possible})" if ours.possible < ours.flights else ""
         below = ["yes" if error[0] < best.get(world, -math.inf) else "no" for error in (ours.position, ours.logged)]
-        errors = [_with_sd(ours.position, 3), _with_sd(ours.logged, 3), _with_sd(ours.heading, 1), lost, possible]
-        lines.append([TITLES.get(world, world), *errors, _number(best.get(world, math.nan), 3), *below])
+        printed = _number(best.get(world, math.nan), 3)
+        lines.append([TITLES.get(world, world), *ours.texts, possible, printed, *below])
     heads = (
         "condition",
         "position (m)",
@@ -341,11 +346,6 @@ def _apart(name: str, worlds: Mapping[str, Condition]) -> list[str]:
             f" degrees; printed {position:.2f} m, {heading:.1f} degrees"
         )
     return lines
-
-
-def _verdict(title: str, verdicts: Sequence[str]) -> str:
-    counts = ", ".join(f"{word} {verdicts.count(word)}" for word in ("yes", "crashes", "no"))
-    return f"Mean position within {CLOSE:.0%} of the printed one, {title}: {counts} of {len(verdicts)}"
 
 
 def _all(flown: Mapping[str, Mapping[str, Condition]]) -> Table:

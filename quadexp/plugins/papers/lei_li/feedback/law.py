@@ -159,7 +159,8 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
     hub = hub * variant.hub
     delta_thrust = delta_thrust * variant.thrust
     delta_torque = delta_torque * variant.torque
-    drag = drag_force(vehicle, theta, velocity) * variant.drag
+    # D of (6), which opposes the velocity.
+    drag = -body_drag(vehicle.rotor_geometry, velocity, theta[C_DX : C_DZ + 1]) * variant.drag
 
     u_xi = position_feedback(
         NED_ENU @ x[POSITION] - target[:, 0],
@@ -234,11 +235,6 @@ def compensation(vehicle: Vehicle, theta: Expression, velocity: Expression, roto
     force, torque = aerodynamic_wrench(vehicle, rotors_only, flu, rotor_speed, induced)
     motor_force, motor_torque = aerodynamic_wrench(vehicle, rotors_only, ca.DM.zeros(3), rotor_speed, no_inflow)
     return Compensation(-(FRD_FLU @ force)[:2], force[2] - motor_force[2], FRD_FLU @ (torque - motor_torque))
-
-
-def drag_force(vehicle: Vehicle, theta: Expression, velocity: Expression) -> Expression:
-    """D, (3,), FRD (N): equation (6); it opposes the velocity (3,), FRD (m/s)."""
-    return -body_drag(vehicle.rotor_geometry, velocity, theta[C_DX : C_DZ + 1])
 
 
 def allocation_coefficients(vehicle: Vehicle, kind: str, theta: Expression) -> tuple[Expression, Expression]:
