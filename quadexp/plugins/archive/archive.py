@@ -177,7 +177,9 @@ def versions_text(record: Mapping[str, Any]) -> str:
 
 def readme(rows: Rows, record: Mapping[str, Any], conf: Iterable[str], names: Sequence[str]) -> str:
     """What the archive is, and its commands; each runs in the folder that it is unpacked into."""
-    folders = [word for folder in distinct(conf) for word in ("--conf", folder)]
+    folders = []
+    for folder in distinct(conf):
+        folders += ["--conf", folder]
     fly = ["quadexp", "evaluate", "--sweep", *folders, f"experiment={','.join(names)}", "--out", "results_again"]
     seeds = sorted({row["seed"] for row in rows})
     controllers = ", ".join(distinct(str(row["controller"]) for row in rows))

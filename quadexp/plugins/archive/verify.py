@@ -87,7 +87,10 @@ def _edited(record: dict[str, Any]) -> str:
     """Which files that decided its flights have another content now, in one line, "" for none. What is not there any
     more, as on another machine, is not compared. Nothing of it is executed."""
     files = record.get("files", {})
-    other = [path for path, content in files.items() if Path(path).is_file() and content_hash(path) != content]
+    other = []
+    for path, content in files.items():
+        if Path(path).is_file() and content_hash(path) != content:
+            other.append(path)
     return f"is of flights with another content of {', '.join(other)}: run the sweep again" if other else ""
 
 

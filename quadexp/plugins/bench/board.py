@@ -140,7 +140,10 @@ def error_table(rows: Rows, *, metric: str, by: Sequence[str] = ("world",), titl
 
 def _mean(rows: Rows, metric: str) -> tuple[float, int]:
     """Geometric mean over the completed flights (m), and how many were not."""
-    errors = [float(row[metric]) for row in rows if row["outcome"] == "ok" and float(row[metric]) > 0]
+    errors = []
+    for row in rows:
+        if row["outcome"] == "ok" and float(row[metric]) > 0:
+            errors.append(float(row[metric]))
     mean = math.exp(float(np.mean(np.log(errors)))) if errors else math.nan
     return mean, sum(row["outcome"] != "ok" for row in rows)
 

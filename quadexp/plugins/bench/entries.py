@@ -67,7 +67,10 @@ def _rule(config: Config) -> str:
     """Which checkpoint the controller, or what is around it, may read; see Entry."""
     residual = getattr(config.controller, "residual", "none")
     if isinstance(residual, str) and config.controller.learned:
-        rules = {SPELLINGS[word]: rule for rule, words in RULES.items() for word in words}
+        rules = {}
+        for rule, words in RULES.items():
+            for word in words:
+                rules[SPELLINGS[word]] = rule
         return rules.get(residual, residual)
     if remedies(config) or residual not in ("none", "plant", "blade_element"):
         return "fit"

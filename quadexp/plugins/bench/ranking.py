@@ -102,7 +102,10 @@ def standings(
         known = ratios[np.isfinite(ratios)]
         other = errors[places[baseline]] if baseline in places and name != baseline else np.full(len(cells), np.inf)
         of_cells = zip(cells, _log_ratios(errors[i], other), strict=True)
-        against = {((task, world), seed): float(x) for (task, world, seed), x in of_cells if not math.isnan(x)}
+        against = {}
+        for (task, world, seed), x in of_cells:
+            if not math.isnan(x):
+                against[(task, world), seed] = float(x)
         times = steps[i][np.isfinite(steps[i])]
         board.append(
             Standing(
@@ -130,7 +133,10 @@ def _order(losses: np.ndarray, ranks: Mapping[int, np.ndarray], confidence: floa
     rest = sorted(ranks, key=lambda i: (int(losses[i].sum()), float(np.mean(ranks[i]))))
     order: list[int] = []
     while rest:
-        alike = [i for i in rest if not _apart(losses[i] - losses[rest[0]], confidence)]
+        alike = []
+        for i in rest:
+            if not _apart(losses[i] - losses[rest[0]], confidence):
+                alike.append(i)
         order += sorted(alike, key=lambda i: float(np.mean(ranks[i])))
         rest = [i for i in rest if i not in alike]
     return order

@@ -100,7 +100,9 @@ def bench(
             options: Any = {"function": function, "isolate": isolate, "progress": progress}
             flown = {row["key"]: row for row in fly_cells([*cells.values()], store, engine, **options)}
             made_by = {"protocol": protocol.version, "protocol_sha256": protocol.sha256, "size": called}
-            rows = [{**flown[key], **about, **made_by} for key, (_, about) in zip(keys, flights, strict=True)]
+            rows = []
+            for key, (_, about) in zip(keys, flights, strict=True):
+                rows.append({**flown[key], **about, **made_by})
             for path, more in added:
                 remaining = {r["entry"] for r in more} & {r["entry"] for r in rows} - {
                     r["entry"] for r in more if r["key"] in keys

@@ -89,7 +89,10 @@ def c(known: Known, firmware: str | None, path: Path) -> Written:
 
 def python_text(function: ca.Function) -> str:
     """A module with `model()`, which builds the function from its operations, one a line, by their names."""
-    names = {code: name for name, code in vars(import_module("casadi")).items() if name.startswith("OP_")}
+    names = {}
+    for name, code in vars(import_module("casadi")).items():
+        if name.startswith("OP_"):
+            names[code] = name
     statements = [f"    {_statement(function, i, names)}" for i in range(function.n_instructions())]
     body = "\n".join(statements)
     return f'''"""{STATE}; u: thrusts of the rotors (N)."""

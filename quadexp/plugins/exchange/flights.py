@@ -50,7 +50,9 @@ def write_poses(flight: Flight, path: Path, *, force: bool = True) -> dict[str, 
         files["reference"] = check_output(path.with_name(f"{path.stem}_reference{path.suffix}"), force=force)
         poses["reference"] = flight.stack(wanted)
     for name, pose in poses.items():
-        lines = [" ".join(map(repr, row)) for row in np.column_stack([flight.t, pose]).tolist()]
+        lines = []
+        for row in np.column_stack([flight.t, pose]).tolist():
+            lines.append(" ".join(map(repr, row)))
         write_text(files[name], "\n".join(["# t x y z qx qy qz qw", *lines]) + "\n", force=force)
     return files
 

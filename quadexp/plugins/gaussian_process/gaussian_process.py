@@ -319,11 +319,13 @@ def gaussian_process_residual(
     n_mean = N_PARAMETERS if mean_terms is None else mean_terms.n_parameters
     mean = np.zeros(n_mean) if mean_parameters is None else np.asarray(mean_parameters, float)
     scales = [1.0 / (np.sqrt(2.0) * o.lengthscale) for o in outputs]
-    points = [(o.inducing * scale).T.ravel() for o, scale in zip(outputs, scales, strict=True)]
+    points = []
+    for o, scale in zip(outputs, scales, strict=True):
+        points.append((o.inducing * scale).T.ravel())
     known = [fallback(o, continued=mean_terms is None) for o in outputs] if weighed else []
-    factors = [
-        (o.variance_factor * np.sqrt(f[0] / o.signal_variance)).T.ravel() for o, f in zip(outputs, known, strict=False)
-    ]
+    factors = []
+    for o, f in zip(outputs, known, strict=False):
+        factors.append((o.variance_factor * np.sqrt(f[0] / o.signal_variance)).T.ravel())
     theta = np.concatenate([mean, *scales, *points, *(o.alpha for o in outputs), *known, *factors])
 
     names = feature_names(vehicle.n_rotors)
@@ -374,17 +376,27 @@ def _matrix_sums(
     """(alpha k) 1 of every output and (alpha k)^T d of every feature, in matrix operations; with factors F also
     ||F k||^2 and (F^T F k k)^T d."""
     n_alpha, n_point = _sizes(structure)
-    distance = [feature - point for feature, point in zip(ca.vertsplit(scaled), split(points, n_point), strict=True)]
-    of_output = [i for i, (_, features, _) in enumerate(structure) for _ in features]
-    exponent = [sum(d * d for d, i in zip(distance, of_output, strict=True) if i == o) for o in range(len(structure))]
+    distance = []
+    for feature, point in zip(ca.vertsplit(scaled), split(points, n_point), strict=True):
+        distance.append(feature - point)
+    of_output = []
+    for i, (_, features, _) in enumerate(structure):
+        of_output += [i] * len(features)
+    exponent = []
+    for o in range(len(structure)):
+        exponent.append(sum(d * d for d, i in zip(distance, of_output, strict=True) if i == o))
     kernel = ca.exp(-ca.vertcat(*exponent))  # all outputs in one vectorised loop
     weighted = split(alpha * kernel, n_alpha)
     kernels = split(kernel, n_alpha)
-    values = [ca.dot(a, k) for a, k in zip(split(alpha, n_alpha), kernels, strict=True)]
+    values = []
+    for a, k in zip(split(alpha, n_alpha), kernels, strict=True):
+        values.append(ca.dot(a, k))
     sums = values, [ca.dot(weighted[i], d) for d, i in zip(distance, of_output, strict=True)]
     if not factor.numel():
         return *sums, [], []
-    roots = [ca.reshape(f, m, m) for f, m in zip(split(factor, [m * m for m in n_alpha]), n_alpha, strict=True)]
+    roots = []
+    for f, m in zip(split(factor, [m * m for m in n_alpha]), n_alpha, strict=True):
+        roots.append(ca.reshape(f, m, m))
     known = [f @ k for f, k in zip(roots, kernels, strict=True)]
     back = [f.T @ q * k for f, q, k in zip(roots, known, kernels, strict=True)]
     slopes = [ca.dot(back[i], d) for d, i in zip(distance, of_output, strict=True)]
@@ -398,16 +410,15 @@ def _compiled_sums(
     shapes = [(m, len(features)) for _, features, m in structure]
     dense = ca.Sparsity.dense
     weighed = bool(factor.numel())
-    kernels = {
-        (m, d): handwritten(
+    kernels = {}
+    for m, d in shapes:
+        kernels[m, d] = handwritten(
             f"gp_sums_{m}_{d}{'_weighed' * weighed}",
             SUMS,
             {"POINTS": m, "FEATURES": d, "FACTOR": m * weighed},
             {"feature": dense(d), "points": dense(m * d), "alpha": dense(m), "factor": dense(m * m * weighed)},
             {"value": dense(1), "slope": dense(d), "known": dense(weighed), "known_slope": dense(d * weighed)},
         )
-        for m, d in shapes
-    }
     sizes = zip(*((d, m * d, m, m * m * weighed) for m, d in shapes), strict=True)
     arguments = zip(*map(split, (scaled, points, alpha, factor), sizes), strict=True)
     results = [kernels[shape](*of_output) for shape, of_output in zip(shapes, arguments, strict=True)]

@@ -130,14 +130,17 @@ class _Flown:
     def phases(self) -> tuple[list[Phase], int, int]:
         """Of the next instants, until the loop is the same again; and where the memory and the readings begin."""
         running = self._controller.running
-        calls = [o for o in running.control_step.calls if o.kind not in ("finite", "near")]  # which are C's
-        rare = [
-            o.decides or o.kind == "python" and (o.when is running.inputs.accelerometer_valid or o.every > 1)
-            for o in calls
-        ]
-        calls = [o for o, seldom in zip(calls, rare, strict=True) if not seldom]  # nothing is learned meanwhile
+        calls = []
+        for o in running.control_step.calls:
+            of_c = o.kind in ("finite", "near")
+            learns = o.kind == "python" and (o.when is running.inputs.accelerometer_valid or o.every > 1)
+            if not (of_c or o.decides or learns):  # nothing is learned meanwhile
+                calls.append(o)
         calls = _on_the_way(calls, running.control_step)
-        sensors = [part.tick for part in self._drawn if not isinstance(part, Held) and part.tick > TICK]
+        sensors = []
+        for part in self._drawn:
+            if not isinstance(part, Held) and part.tick > TICK:
+                sensors.append(part.tick)
         ratios = [Fraction(self._period / tick).limit_denominator(MOST_PHASES) for tick in sensors]
         read = math.lcm(*(ratio.denominator for ratio in ratios))
         count = math.lcm(read, *(o.every for o in calls))

@@ -169,7 +169,10 @@ def instability(
     late = getattr(plant, "loop_delay", 0.0)
     knows = "motor_lead" if getattr(controller, "motor_lead", 0.0) else "motor_lag"
     true = {knows: round(lag, DIGITS), "dead_time": round(late, DIGITS)}
-    unknown = {name: value for name, value in true.items() if getattr(controller, name, value) != value}
+    unknown = {}
+    for name, value in true.items():
+        if getattr(controller, name, value) != value:
+            unknown[name] = value
 
     def stable(changes: Mapping[str, float]) -> bool:
         try:

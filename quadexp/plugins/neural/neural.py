@@ -232,7 +232,9 @@ def neural_residual(vehicle: Vehicle, network: Network, source: str = "") -> Res
     """
     function = _network_function(feature_names(vehicle.n_rotors), network, _layer, _backward)
     to_compile = _network_function(feature_names(vehicle.n_rotors), network, _compiled_layer, _compiled_backward)
-    theta = [part for w, b in zip(network.weights, network.biases, strict=True) for part in (w.T.ravel(), b)]
+    theta = []
+    for w, b in zip(network.weights, network.biases, strict=True):
+        theta += [w.T.ravel(), b]
     return Residual("neural", function, np.concatenate(theta), source, to_compile)
 
 
@@ -252,7 +254,9 @@ def adapting_network(residual: Residual, network: Network, deviation: float) -> 
 def _network_function(names: tuple[str, ...], network: Network, layer: Layer, backward: Backward) -> ca.Function:
     """(z, theta) -> y, dy/dz for a network of these sizes."""
     sizes = network.sizes
-    lengths = [length for columns, rows in pairwise(sizes) for length in (rows * columns, rows)]
+    lengths = []
+    for columns, rows in pairwise(sizes):
+        lengths += [rows * columns, rows]
     z, theta = symbols(ca.MX, z=len(names), theta=sum(lengths))
     parts = split(theta, lengths)
     weights = [ca.reshape(w, rows, columns) for w, (columns, rows) in zip(parts[::2], pairwise(sizes), strict=True)]
@@ -312,7 +316,9 @@ def _train(
     from scipy.optimize import minimize
 
     rng = np.random.default_rng(settings.seed)
-    shapes = [(rows, columns) for columns, rows in pairwise([x.shape[1], *settings.hidden, y.shape[1]])]
+    shapes = []
+    for columns, rows in pairwise([x.shape[1], *settings.hidden, y.shape[1]]):
+        shapes.append((rows, columns))
     start = [rng.normal(size=shape) / math.sqrt(shape[1]) for shape in shapes]
     start += [rng.normal(size=rows) for rows, _ in shapes[:-1]] + [np.zeros(y.shape[1])]
     inputs = torch.as_tensor(x, dtype=torch.float64)

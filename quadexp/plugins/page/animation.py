@@ -102,7 +102,9 @@ def _check_same_reference(paths: Sequence[Path], flights: Sequence[Flight]) -> N
 
 def _labels(paths: Sequence[Path], flights: Sequence[Flight]) -> list[str]:
     """The controllers, with the file's name where two flights have the same one."""
-    names = [str(flight.metadata.get("controller") or path.stem) for path, flight in zip(paths, flights, strict=True)]
+    names = []
+    for path, flight in zip(paths, flights, strict=True):
+        names.append(str(flight.metadata.get("controller") or path.stem))
     return [f"{name} {path.stem}" if names.count(name) > 1 else name for name, path in zip(names, paths, strict=True)]
 
 
@@ -166,14 +168,19 @@ class _Picture:
             (line,) = course.plot([], [], color=colour, label=f"{label}: {of_all}")
             body = near.add_collection(LineCollection([], colors=colour, linewidths=2.2))
             self._flown.append(_Flown(flight, error, flight.rotor_position, trail, vehicle, body, line))
-        shown = [flown.error[flown.sample(begin) : flown.sample(end) + 1].max() for flown in self._flown]
+        shown = []
+        for flown in self._flown:
+            shown.append(flown.error[flown.sample(begin) : flown.sample(end) + 1].max())
         size = max(float(norms(flown.rotors).max()) for flown in self._flown)
         reach = 1.05 * float(max(shown)) + 1.6 * size
         near.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x - reference (m)", ylabel="y - reference (m)")
         near.set_aspect("equal")
         near.plot(0, 0, marker="+", markersize=12, color="#777777")
         self._clock = near.set_title("to scale", fontsize=9)
-        smallest = [np.percentile(error, 5) for f in self._flown if len(error := f.error[f.error > 0])]
+        smallest = []
+        for f in self._flown:
+            if len(error := f.error[f.error > 0]):
+                smallest.append(np.percentile(error, 5))
         low = max(min(smallest, default=0.0), 1e-6)
         high = 1.3 * max(2 * low, *(flown.error.max() for flown in self._flown))
         course.set(xlim=(0, longest["t"][-1]), yscale="log", ylim=(1e3 * low, 1e3 * high))

@@ -247,7 +247,10 @@ def compare(
         from quadexp.report.style import save_figure
 
         save_figure(comparison_figure(report["kind"], [first, *others]), out, force=force)
-    checked = {str(p): check_flights(*read_results(p)[:2]) for p in (first, *others) if report["kind"] == "results"}
+    checked = {}
+    for p in (first, *others):
+        if report["kind"] == "results":
+            checked[str(p)] = check_flights(*read_results(p)[:2])
     wrong = [f"{folder}: {line}" for folder, files in checked.items() for line in files.lines(beside=False)]
     for line in wrong:
         say(f"warning: {line}")

@@ -159,7 +159,10 @@ def record_of(metadata: Mapping[str, Any]) -> dict[str, Any]:
 def differing(*records: Mapping[str, Any]) -> dict[str, list[Any]]:
     """Dotted key -> its value in each, for those that differ; "-" for a missing key."""
     sides = list(map(flat, records))
-    values = {key: [side.get(key, ABSENT) for side in sides] for side in sides for key in side}
+    values = {}
+    for side in sides:
+        for key in side:
+            values[key] = [side.get(key, ABSENT) for side in sides]
     return {key: several for key, several in values.items() if any(value != several[0] for value in several)}
 
 
@@ -178,7 +181,9 @@ def _setting_table(settings: Mapping[str, Sequence[Any]], names: Sequence[str]) 
             return text
         return f"{text[: MOST_LETTERS - 3]}..."
 
-    rows = [[key, *map(short, values)] for key, values in list(settings.items())[:MOST_LINES]]
+    rows = []
+    for key, values in list(settings.items())[:MOST_LINES]:
+        rows.append([key, *map(short, values)])
     notes = [f"and {len(settings) - len(rows)} more (--json has all)"] if len(settings) > len(rows) else []
     return Table(["setting", *names], rows, left=frozenset(range(1 + len(names))), notes=notes)
 
@@ -204,7 +209,10 @@ def _sides(sides: Sequence[Side], paths: Sequence[Path]) -> dict[str, Any]:
     """Settings and numbers beside each other; of two flights also the outcome and the distance between the paths."""
     settings = differing(*(side.settings for side in sides))
     names = names_of(paths)
-    metrics = {name: [side.numbers.get(name, math.nan) for side in sides] for side in sides for name in side.numbers}
+    metrics = {}
+    for side in sides:
+        for name in side.numbers:
+            metrics[name] = [side.numbers.get(name, math.nan) for side in sides]
     tables = [_setting_table(settings, names)] if settings else []
     tables.append(Table(["figure", *names], [_number_row(name, values) for name, values in metrics.items()]))
     report: dict[str, Any] = {"configuration": settings, "metrics": metrics, "tables": tables}
@@ -214,13 +222,16 @@ def _sides(sides: Sequence[Side], paths: Sequence[Path]) -> dict[str, Any]:
     if len(sides) > 2:
         return report
     a, b = sides
-    changes = {name: change(*values) for name, values in metrics.items() if name in a.numbers and name in b.numbers}
+    changes = {}
+    for name, both in metrics.items():
+        if name in a.numbers and name in b.numbers:
+            changes[name] = change(*both)
     only = {"a": [n for n in a.numbers if n not in b.numbers], "b": [n for n in b.numbers if n not in a.numbers]}
     lines = [f"a  {paths[0]}: {a.about}", f"b  {paths[1]}: {b.about}", "", *_setting_lines(settings), ""]
-    rows = [
-        [*_number_row(name, [values["a"], values["b"], values["difference"]]), relative(values["relative"])]
-        for name, values in changes.items()
-    ]
+    rows = []
+    for name, found in changes.items():
+        of_name = _number_row(name, [found["a"], found["b"], found["difference"]])
+        rows.append([*of_name, relative(found["relative"])])
     if flights:
         causes = [f" ({cause})" if (cause := flight.metadata.get("cause")) else "" for flight in flights]
         ended = dict.fromkeys(map("".join, zip(report["outcome"], causes, strict=True)))
@@ -244,7 +255,9 @@ def _paths(a: Flight, b: Flight) -> dict[str, Any]:
     t = min((flight.t[flight.t <= end + 1e-9] for flight in (a, b)), key=len)
     if not len(t):
         return {"common": 0, "identical": False, "text": "one of them has none: the paths are not compared"}
-    paths = [np.column_stack([np.interp(t, flight.t, flight[f"p_{i}"]) for i in "xyz"]) for flight in (a, b)]
+    paths = []
+    for flight in (a, b):
+        paths.append(np.column_stack([np.interp(t, flight.t, flight[f"p_{i}"]) for i in "xyz"]))
     apart = norms(paths[0] - paths[1])
     at = int(np.argmax(apart))
     length = "" if len(a) == len(b) else f" of {len(a)} and {len(b)}"
@@ -274,7 +287,10 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
     _, tables, records = zip(*map(read_results, paths), strict=True)
     metric = records[0].get("metric", "mean_error")
     sides = matched(*tables)
-    cells = {key: tuple(side[key] for side in sides) for key in sides[0] if all(key in side for side in sides)}
+    cells = {}
+    for key in sides[0]:
+        if all(key in side for side in sides):
+            cells[key] = tuple(side[key] for side in sides)
     labels = contestant_labels(distinct(contestant for _, contestant, _ in cells))
     completed = [key for key, rows in cells.items() if all(map(is_flown, rows))]
     ended = {who: {(at, seed) for at, contestant, seed in completed if contestant == who} for who in labels}
@@ -364,15 +380,23 @@ def _contestants(
     records: list[dict[str, Any]] = []
     for contestant, label in labels.items():
         pairs = {key: pair for key, pair in cells.items() if key[1] == contestant}
-        sides = [(at, side, row) for (at, *_), pair in pairs.items() for side, row in zip("ab", pair, strict=True)]
+        sides = []
+        for (at, *_), pair in pairs.items():
+            for side, row in zip("ab", pair, strict=True):
+                sides.append((at, side, row))
         rows = [dict(row, controller=side, model="", variant=at.setting) for at, side, row in sides]
         comparison = overall(rows, metric=metric, baseline="a", confidence=confidence)
         if not comparison:  # its settings contradict each other
             continue
         pooled += comparison
-        completed = [p for p in pairs.values() if all(is_flown(row) and math.isfinite(row[metric]) for row in p)]
+        completed = []
+        for p in pairs.values():
+            if all(is_flown(row) and math.isfinite(row[metric]) for row in p):
+                completed.append(p)
         means = (_mean([pair[i] for pair in completed], metric) for i in (0, 1))
-        flown = {side: [sum(is_flown(pair[i]) for pair in pairs.values()), len(pairs)] for i, side in enumerate("ab")}
+        flown = {}
+        for i, side in enumerate("ab"):
+            flown[side] = [sum(is_flown(pair[i]) for pair in pairs.values()), len(pairs)]
         about = {"label": label, "cells": len(pairs), "flown": flown, "left_out": pooled[-1].left_out}
         records.append(about | change(*means))
     corrected = holm(np.array([s.p for s in pooled]))

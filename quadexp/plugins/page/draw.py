@@ -92,7 +92,9 @@ def _panels(view: View, size: tuple[float, float], most: int, room: float = 0, *
     gone = [view.title(view.facet, facet) for facet in without]
     dropped = [f"no room for {len(gone)} panels: {', '.join(gone)}"] if gone else []
     lines = filter(None, (view.heading, *(() if view.width else (view.caption, *view.notes)), *dropped))
-    above = [row for line in lines for row in textwrap.wrap(line, int(15 * width))]
+    above = []
+    for line in lines:
+        above += textwrap.wrap(line, int(15 * width))
     figure = Figure(figsize=(width, view.height or each * down + 0.4 + room + 0.17 * len(above)))
     grid = figure.subplots(down, across, squeeze=False, **share)
     for panel, facet in zip(grid.flat, panels, strict=False):
@@ -161,7 +163,10 @@ def label_of(view: View, line: Place, names: Mapping[str, str]) -> str:
     parts = []
     for k, (key, value) in enumerate(zip(view.by, line, strict=True)):
         if key == "model":
-            alike = {other[k] for other in view.lines() if other[:k] + other[k + 1 :] == line[:k] + line[k + 1 :]}
+            alike = set()
+            for other in view.lines():
+                if other[:k] + other[k + 1 :] == line[:k] + line[k + 1 :]:
+                    alike.add(other[k])
             if len(alike) == 1 and "controller" in view.by:
                 continue
             text = view.title((key,), (value,)) or ("" if "controller" in view.by else "no checkpoint")
@@ -302,7 +307,9 @@ def _heat_map(view: View) -> Figure:
 
 
 def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Normalize) -> None:
-    points = [[view.places.get((*facet, row, column)) for column in view.x.values] for row in down_axis.values]
+    points = []
+    for row in down_axis.values:
+        points.append([view.places.get((*facet, row, column)) for column in view.x.values])
     values = np.array([[view.factor * point.mean if point else math.nan for point in row] for row in points])
     panel.set_facecolor(EMPTY)
     panel.imshow(np.ma.masked_invalid(values), cmap=ERROR_COLOURS, norm=norm, aspect="auto", origin="lower")
@@ -350,8 +357,12 @@ def save_view(view: View, path: Path, title: str = "", *, force: bool = True) ->
 
 def page_of(view: View, title: str) -> str:
     """The figure with its numbers as one page that opens without a network."""
-    shown = [{**row, **{n: view.factor * row[n] for n in (view.y, "low", "high")}} for row in records(view)]
-    rows = [{n: float(f"{v:.6g}") if isinstance(v, float) else v for n, v in row.items()} for row in shown]
+    shown = []
+    for row in records(view):
+        shown.append({**row, **{n: view.factor * row[n] for n in (view.y, "low", "high")}})
+    rows = []
+    for row in shown:
+        rows.append({n: float(f"{v:.6g}") if isinstance(v, float) else v for n, v in row.items()})
     table = records_table(rows)
     heads = [f"{name} ({view.unit})" if name == view.y and view.unit else name for name in table.columns]
     heading = view.heading or title or view.y_label

@@ -49,7 +49,9 @@ class Live:
         rows = [row for row in self.rows if not is_invalid(row)]  # settings that contradict each other are no flight
         if not rows:
             return Table(["trajectory", "m/s"], [], title)
-        known = [{**row, self.metric: math.nan if row[self.metric] is None else row[self.metric]} for row in rows]
+        known = []
+        for row in rows:
+            known.append({**row, self.metric: math.nan if row[self.metric] is None else row[self.metric]})
         table = error_table(known, self.metric, baseline="")
         return replace(table, title=title, notes=table.notes[:1])
 

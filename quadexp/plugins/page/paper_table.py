@@ -56,9 +56,9 @@ def paper_table(
     points_of = points(frame, keys, metric, others=others, confidence=confidence)
     single = {} if metric == SUCCESS else _statistics(frame, keys, metric)
     factor, unit = shown(metric)
-    cells = {
-        place: cell_text(factor, point, single.get(place), intervals, digits) for place, point in points_of.items()
-    }
+    cells = {}
+    for place, point in points_of.items():
+        cells[place] = cell_text(factor, point, single.get(place), intervals, digits)
     n = len(down)
     lines = distinct(place[:n] for place in cells)
     heads = distinct(place[n:] for place in cells)
@@ -90,7 +90,10 @@ def _chosen(
     two controllers would be the error of neither."""
     down = checked_keys(frame, rows or ())
     across = checked_keys(frame, columns or ())
-    twice = [key for key in (*down, *across) if (*down, *across).count(key) > 1]
+    twice = []
+    for key in (*down, *across):
+        if (*down, *across).count(key) > 1:
+            twice.append(key)
     if twice:
         raise UsageError(f"{twice[0]}: stands twice among --rows and --columns")
     free = [key for key in frame.swept if key not in ("seed", *down, *across)]
@@ -108,7 +111,9 @@ def _chosen(
 def _statistics(frame: SweepFrame, keys: Sequence[str], metric: str) -> dict[Place, Statistic]:
     """The statistic of each place that is one contestant in one condition."""
     every = compute_statistics(frame.rows, metrics=(metric,), **_options(frame))
-    by_flight = {(s.contestant, s.plant, s.vehicle, s.trajectory, str(s.speed), s.setting): s for s in every}
+    by_flight = {}
+    for s in every:
+        by_flight[s.contestant, s.plant, s.vehicle, s.trajectory, str(s.speed), s.setting] = s
     columns = [frame.controllers(keys) if key == "controller" else frame.column(key) for key in keys]
     flown = grouped((place, i) for i, place in enumerate(zip(*columns, strict=True)))
     statistics = {}

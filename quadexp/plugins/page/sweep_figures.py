@@ -53,8 +53,13 @@ def drawings(rows: Rows, out: str | Path, metric: str, confidence: float, record
         for view in automatic(SweepFrame([*map(dict, rows)], out, record), metric, confidence):
             figures.append(Drawing(f"{metric.removesuffix('_error')}_error_{view.file_name}", _swept, (view,)))
     for trajectory, grid in path_grids(rows).items():
-        flights = {place: str(store.path(row["key"])) for place, row in grid.cells.items() if is_flown(row)}
-        missing = {place: row["outcome"] for place, row in grid.cells.items() if not is_flown(row)}
+        flights = {}
+        missing = {}
+        for place, row in grid.cells.items():
+            if is_flown(row):
+                flights[place] = str(store.path(row["key"]))
+            else:
+                missing[place] = row["outcome"]
         figures.append(Drawing(f"path_{trajectory}", _paths, (flights, trajectory, missing, grid.left_out)))
     return figures
 
@@ -72,7 +77,10 @@ def path_grids(rows: Rows) -> dict[str, PathGrid]:
     worlds and other settings differ too, the fastest of each."""
     names = contestant_labels(distinct(map(contestant_of, rows)))
     courses = course_labels((row["trajectory"], condition_of(row).setting) for row in rows)
-    several = [key for key in ("plant", "vehicle") if len({row[key] for row in rows}) > 1]
+    several = []
+    for key in ("plant", "vehicle"):
+        if len({row[key] for row in rows}) > 1:
+            several.append(key)
     cells: dict[str, dict[tuple[str, str, float], Row]] = {}
     for row in rows:
         *_, speed, setting = condition_of(row)

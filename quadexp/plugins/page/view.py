@@ -60,13 +60,18 @@ def points(
     columns = [shown_column(frame, key, keys) for key in keys]
     others_columns = [frame.column(key) for key in others]
     values = [1.0] * len(frame.rows) if y == SUCCESS else frame.column(y)
-    flights = [(tuple(column[i] for column in others_columns), row["seed"]) for i, row in enumerate(frame.rows)]
+    flights = []
+    for i, row in enumerate(frame.rows):
+        flights.append((tuple(column[i] for column in others_columns), row["seed"]))
     well = [is_flown(row) and value is not None for row, value in zip(frame.rows, values, strict=True)]
     places = grouped((place, i) for i, place in enumerate(zip(*columns, strict=True)) if None not in place)
     beside: dict[Place, dict[Place, set[Any]]] = {}  # what is flown -> place -> completed flights
     for place, numbers in places.items():
         flown = tuple(value for value, key in zip(place, keys, strict=True) if not of_contestant(key))
-        broken = {flights[i] for i in numbers if not well[i] and not is_invalid(frame.rows[i])}
+        broken = set()
+        for i in numbers:
+            if not well[i] and not is_invalid(frame.rows[i]):
+                broken.add(flights[i])
         beside.setdefault(flown, {})[place] = {flights[i] for i in numbers if well[i]} - broken
     used = {place: shared for ended in beside.values() for compared, shared in [common(ended)] for place in compared}
     result = {}
@@ -184,7 +189,10 @@ class View:
         return replace(self, colours=colours)
 
     def _texts(self) -> set[str]:
-        values = {value_text(key, v) for place in self.places for key, v in zip(self.keys, place, strict=True)}
+        values = set()
+        for place in self.places:
+            for key, v in zip(self.keys, place, strict=True):
+                values.add(value_text(key, v))
         return values | set(map(str, self.alone.values()))
 
     def parts(self) -> dict[str, View]:
@@ -195,7 +203,10 @@ class View:
             return {name: self}
         parts = {}
         for facet in self.panels:
-            places = {place[n:]: point for place, point in self.places.items() if place[:n] == facet}
+            places = {}
+            for place, point in self.places.items():
+                if place[:n] == facet:
+                    places[place[n:]] = point
             heading = self.title(self.facet, facet)
             if any(point.is_shown for point in places.values()):
                 words = "_".join(heading.replace(",", "").split())
@@ -385,7 +396,10 @@ def _notes(
         if len(values) == 1 and key not in ("seed", *FLOWN):
             notes.append(f"{key} is {value_text(key, values[0])} in all flights that have it")
         column = shown_column(frame, key, keys)
-        lacking = [row["controller"] for row, value in zip(frame.rows, column, strict=True) if value is None]
+        lacking = []
+        for row, value in zip(frame.rows, column, strict=True):
+            if value is None:
+                lacking.append(row["controller"])
         if lacking:
             names = listed(distinct(lacking))
             notes.append(f"not drawn: {count(len(lacking), 'flight')} without {key} ({names})")

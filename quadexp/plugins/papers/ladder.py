@@ -76,10 +76,9 @@ def means_table(means: Means, title: str, *, bold: bool = False) -> Table:
         text = f"{1e3 * s.mean:.0f}" if s.mean >= 0.1 else f"{1e3 * s.mean:.3g}"
         return f"**{text}**" if bold and s.best else text
 
-    lines = [
-        [place, course, speed_text(speed, ""), *(cell(by_label.get(label)) for label in means.labels)]
-        for (place, course, speed), by_label in means.places.items()
-    ]
+    lines = []
+    for (place, course, speed), by_label in means.places.items():
+        lines.append([place, course, speed_text(speed, ""), *(cell(by_label.get(label)) for label in means.labels)])
     return Table([means.first, "trajectory", "m/s", *means.labels], lines, title, left=frozenset({0, 1}))
 
 

@@ -107,9 +107,10 @@ def held_targets(
 def _slopes(values: list[Expression], times: list[Expression]) -> list[Expression]:
     """Derivatives at uneven times: of the parabola through three neighbours, at the ends of the line through two."""
     d = [(b - a) for a, b in zip(times, times[1:], strict=False)]
-    secants = [(b - a) / h for a, b, h in zip(values, values[1:], d, strict=False)]
-    inside = [
-        (before * after_h + after * before_h) / (before_h + after_h)
-        for before, after, before_h, after_h in zip(secants, secants[1:], d, d[1:], strict=False)
-    ]
+    secants = []
+    for a, b, h in zip(values, values[1:], d, strict=False):
+        secants.append((b - a) / h)
+    inside = []
+    for before, after, before_h, after_h in zip(secants, secants[1:], d, d[1:], strict=False):
+        inside.append((before * after_h + after * before_h) / (before_h + after_h))
     return [secants[0], *inside, secants[-1]]

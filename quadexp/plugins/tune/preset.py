@@ -54,10 +54,10 @@ def write_preset(
     """
     controller = options["controller"]
     name = name or default_name(options)
-    changed = {
-        group: _changed(record(getattr(composer.compose([f"{group}={option}"]), group)), record(getattr(config, group)))
-        for group, option in options.items()
-    }
+    changed = {}
+    for group, option in options.items():
+        before = getattr(composer.compose([f"{group}={option}"]), group)
+        changed[group] = _changed(record(before), record(getattr(config, group)))
     origin = [HEAD, *(_INDENT + line for line in _yaml(about, flow=False).splitlines())]
     title = f"{printable(controller)}, tuned by `quadexp tune`; see docs/tuning.md. Written by that command."
     if len(options) == 1:

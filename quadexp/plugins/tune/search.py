@@ -85,7 +85,10 @@ def cells_of(composer: Composer, overrides: Sequence[str]) -> list[Cell]:
     """The cells of a trial; raises UsageError where they are of several controllers, or cannot be flown."""
     cells = composer.expand(overrides, check=False)
     for grid in cells.grids:
-        several = [texts[0].partition("=")[0] for texts in grid if len(texts) > 1]
+        several = []
+        for texts in grid:
+            if len(texts) > 1:
+                several.append(texts[0].partition("=")[0])
         if wrong := [key for key in several if key.partition(".")[0] in (*TUNED, *PRESETS, "remedies")]:
             raise UsageError(f"{wrong[0]}: has several values; one controller is tuned at a time")
     valid_cells = cells.all_valid_or_raise()

@@ -83,7 +83,9 @@ def stationary(noise: np.ndarray) -> np.ndarray:
     """Filter states (5,) drawn from their stationary distribution, by standard-normal numbers (5,)."""
     along, *transverse = noise
     half = math.sqrt(0.5)
-    pairs = [(z, z / 2 + half * half * n) for z, n in (transverse[:2], transverse[2:])]
+    pairs = []
+    for z, n in (transverse[:2], transverse[2:]):
+        pairs.append((z, z / 2 + half * half * n))
     return np.array([along, *pairs[0], *pairs[1]])
 
 

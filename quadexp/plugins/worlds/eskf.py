@@ -390,10 +390,9 @@ def correction(aid: Aid) -> ca.Function:
     known, fix, deviations = symbols(ca.SX, known=KNOWN.stop, fix=aid.size, deviations=len(aid.deviations))
     nominal = known[:N_NOMINAL]
     covariance = unpacked(known[N_NOMINAL:])
-    innovations = [
-        (innovation.value, innovation.row, deviations[innovation.deviation] ** 2)
-        for innovation in aid.compare(nominal, fix)
-    ]
+    innovations = []
+    for innovation in aid.compare(nominal, fix):
+        innovations.append((innovation.value, innovation.row, deviations[innovation.deviation] ** 2))
     nominal, covariance = update(nominal, covariance, innovations)
     estimate = ca.cse([ca.vertcat(nominal, packed(covariance))])
     arguments = [known, fix, deviations]

@@ -67,10 +67,10 @@ def make_report(
 def render(comparison: Comparison, swept: Section, command: str, left_out: Sequence[str]) -> tuple[str, list[str]]:
     """The page, and what is not on it for its size. command: that makes it again. left_out: of what was swept."""
     whole = numbers(comparison)
-    short = [
-        replace(block, tables={name: replace(t, rows=t.rows[:MOST_LINES]) for name, t in block.tables.items()})
-        for block in whole.blocks
-    ]
+    short = []
+    for block in whole.blocks:
+        tables = {name: replace(t, rows=t.rows[:MOST_LINES]) for name, t in block.tables.items()}
+        short.append(replace(block, tables=tables))
     left_out = [*_left_out(comparison, whole), *left_out]
     parts = Page(comparison, replace(whole, blocks=short), swept, command, tuple(left_out))
     sections = [brought("sections", name)(parts) for name in places("sections")]

@@ -92,7 +92,10 @@ def _gain(comparison: Comparison) -> str:
 
 def _verdicts(comparison: Comparison) -> list[str]:
     """Who has the least error in each plant and vehicle."""
-    texts = [_capital(f"{text}.") for verdict in comparison.verdicts.values() if (text := verdict.text())]
+    texts = []
+    for verdict in comparison.verdicts.values():
+        if text := verdict.text():
+            texts.append(_capital(f"{text}."))
     hidden = len(texts) - MOST_COUNTS
     if hidden > 1:
         return [*texts[:MOST_COUNTS], f"{hidden} more of this kind are below the tables."]
@@ -102,7 +105,10 @@ def _verdicts(comparison: Comparison) -> list[str]:
 def _against(comparison: Comparison) -> str:
     """The gain of whom the answer compares with the baseline, in each plant and vehicle, the largest first where there
     are many; and the flights that are not in it."""
-    ratios = {world: of[comparison.rival] for world, of in comparison.by_world.items() if comparison.rival in of}
+    ratios = {}
+    for world, of in comparison.by_world.items():
+        if comparison.rival in of:
+            ratios[world] = of[comparison.rival]
     texts = {world: s for world, s in ratios.items() if s.pairs}
     if not texts:
         return ""
@@ -157,7 +163,10 @@ def _sure(comparison: Comparison) -> str:
     if not pooled.testable:
         return f"How sure: not at all yet. {seeds} cannot tell chance from a difference: fly more seeds."
     where = f" in {_world(comparison.world)}" if len(comparison.worlds) > 1 else ""
-    unsure = [_world(w) for w, of in comparison.by_world.items() if rival in of and not of[rival].significant]
+    unsure = []
+    for w, of in comparison.by_world.items():
+        if rival in of and not of[rival].significant:
+            unsure.append(_world(w))
     others = f" It is not sure in {listed(unsure)}." if where and pooled.significant and unsure else ""
     chance = (
         f"If {rival} and {base} were equally good, chance alone would make a difference like this one"
@@ -165,7 +174,9 @@ def _sure(comparison: Comparison) -> str:
     )
     if not pooled.significant:
         return f"How sure: not sure. {chance}"
-    ends = [percent(abs(end))[0] for end in sorted((pooled.reduction_low, pooled.reduction_high), key=abs)]
+    ends = []
+    for end in sorted((pooled.reduction_low, pooled.reduction_high), key=abs):
+        ends.append(percent(abs(end))[0])
     limits = f"lie between {ends[0]} and {ends[1]}" if ends[0] != ends[1] else f"again be {ends[0]}"
     again = f"With other seeds the difference would {limits}, {comparison.confidence:.0%} of the time."
     return f"How sure: {'very' if pooled.p_holm < VERY_SURE else 'fairly'}. {chance} {again}{others}"
@@ -199,7 +210,10 @@ def _note(comparison: Comparison) -> str:
     alone = [label for label in comparison.order if label not in verdict.compared]
     if alone and verdict.common:
         parts.append(f"Not compared, because they completed too few flights: {listed(alone)}.")
-    bad = [row["outcome"].replace("_", " ") for row in comparison.rows if row["outcome"] != "ok"]
+    bad = []
+    for row in comparison.rows:
+        if row["outcome"] != "ok":
+            bad.append(row["outcome"].replace("_", " "))
     if bad:
         kinds = listed(distinct(bad))
         parts.append(f"{len(bad)} of {len(comparison.rows)} flights were not completed ({kinds}).")

@@ -120,10 +120,12 @@ def _number_block(comparison: Comparison, metric: str) -> Block:
     marks = comparison.look
     options: Any = {"baseline": comparison.baseline, "confidence": comparison.confidence}
     table = error_table(comparison.rows, metric, **options)
-    heads: list[Any] = [
-        Cell(name, (f"{flown} completed",), mark=name if name in marks else "") if flown and i else Cell(name)
-        for i, (name, flown) in enumerate(zip(table.columns, table.rows[0], strict=True))
-    ]
+    heads: list[Any] = []
+    for i, (name, flown) in enumerate(zip(table.columns, table.rows[0], strict=True)):
+        if flown and i:
+            heads.append(Cell(name, (f"{flown} completed",), mark=name if name in marks else ""))
+        else:
+            heads.append(Cell(name))
     tables: dict[str, Table] = {metric: replace(table, columns=heads, rows=table.rows[1:], notes=())}
     if (differences := comparison_table(statistics)) is not None:
         tables[f"{metric}-differences"] = differences
@@ -237,7 +239,10 @@ def settings(flights: Sequence[Record]) -> list[list[str]]:
     """A line a setting with its values in order of appearance; those that differ between flights first."""
     stated = (pair for flight in flights for pair in flat(flight.get("config", {})).items())
     values = grouped((key, value if isinstance(value, str) else json.dumps(value)) for key, value in stated)
-    different = {key: distinct(texts) for key, texts in values.items() if set(texts) != {"null"}}
+    different = {}
+    for key, texts in values.items():
+        if set(texts) != {"null"}:
+            different[key] = distinct(texts)
     lines = sorted(different.items(), key=lambda item: len(item[1]) == 1 and len(values[item[0]]) == len(flights))
     return [[key, ", ".join(t[:MOST_VALUES] + ["…"] * (len(t) > MOST_VALUES))] for key, t in lines]
 

@@ -96,7 +96,10 @@ class Comparison:
 
     def course_title(self, at: Condition) -> str:
         """The trajectory, with settings, plant and vehicle as far as they distinguish it from the others."""
-        several = [name for name, *names in zip(at.world, *self.worlds, strict=True) if len({*names}) > 1]
+        several = []
+        for name, *names in zip(at.world, *self.worlds, strict=True):
+            if len({*names}) > 1:
+                several.append(name)
         return ", ".join([self.courses[at.trajectory, at.setting], *several])
 
     @cached_property
@@ -109,7 +112,10 @@ class Comparison:
         flown = [row for row in self.rows if row["outcome"] not in UNFLOWN]
 
         def size(world: World) -> tuple[int, int]:
-            mine = [self.label(row) for row in flown if (row["plant"], row["vehicle"]) == world]
+            mine = []
+            for row in flown:
+                if (row["plant"], row["vehicle"]) == world:
+                    mine.append(self.label(row))
             return len(set(mine)), len(mine)
 
         return max(self.worlds, key=size)
@@ -291,7 +297,10 @@ class Comparison:
 
     def time(self, label: str, which: str = "median") -> float:
         """Time of the control step, s: median over its flights of their median or p99."""
-        mine = [r[f"solve_time_{which}"] for r in self.main_rows if self.label(r) == label and r["outcome"] == "ok"]
+        mine = []
+        for r in self.main_rows:
+            if self.label(r) == label and r["outcome"] == "ok":
+                mine.append(r[f"solve_time_{which}"])
         if mine:
             return float(np.median(mine))
         return math.nan

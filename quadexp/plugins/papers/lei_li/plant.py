@@ -134,7 +134,9 @@ class BladeElement(BladeElementEffects, BladeKeys, PlantPart):
             )
         changes = []
         for change in self.schedule:
-            values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in change.items()}
+            values: dict[str, Any] = {}
+            for k, v in change.items():
+                values[k] = tuple(v) if isinstance(v, list) else v
             changes.append(PlantChange(**values))
         return BladeElementPlant(
             context.vehicle,

@@ -126,7 +126,9 @@ class RLSMPC(PredictivePart):
 def in_flight(rls: Identification, vehicle: Vehicle) -> ca.Function:
     """Identification as a call: rotor speeds that are not measured are replaced by the commanded ones."""
     inputs = Inputs(vehicle, Circumstances(0.0), ca.MX)
-    kept = {name: inputs.symbol(NOW + name, (values.size, 1)) for name, values in rls.remembered.items()}
+    kept = {}
+    for name, values in rls.remembered.items():
+        kept[name] = inputs.symbol(NOW + name, (values.size, 1))
     read, turning = ca.vertsplit(inputs.fresh)
     sent = inputs.symbol(f"{NOW}sent", (vehicle.n_rotors, 1))
     commanded = ca.sqrt(ca.fmax(sent, 0) / vehicle.static_thrust_coefficient)

@@ -191,7 +191,10 @@ def logged_rmse(flight: Flight) -> float:
     if not len(flight):
         return math.nan
     config = flight.metadata["config"]
-    stated = {name: value for name, value in config["trajectory"].items() if name in declared(ReferenceEllipse)}
+    stated = {}
+    for name, value in config["trajectory"].items():
+        if name in declared(ReferenceEllipse):
+            stated[name] = value
     late = config.get("estimator", {}).get("delay", 0.0)
     t = np.maximum(flight.t + late - RECORDED_AFTER, 0.0)  # of the reference with which this position is recorded
     error = flight.state[:, POSITION] - ReferenceEllipse(**stated).flat_output(t).position[:, 0]
@@ -313,7 +316,9 @@ def _against_best(name: str, worlds: Mapping[str, Condition]) -> str:
     lines = []
     for world, ours in worlds.items():
         possible = f"{_number(ours.possible_position, 3)} ({ours.possible})" if ours.possible < ours.flights else ""
-        below = ["yes" if error[0] < best.get(world, -math.inf) else "no" for error in (ours.position, ours.logged)]
+        below = []
+        for error in (ours.position, ours.logged):
+            below.append("yes" if error[0] < best.get(world, -math.inf) else "no")
         printed = _number(best.get(world, math.nan), 3)
         lines.append([TITLES.get(world, world), *ours.texts, possible, printed, *below])
     heads = (
@@ -351,9 +356,9 @@ def _apart(name: str, worlds: Mapping[str, Condition]) -> list[str]:
 def _all(flown: Mapping[str, Mapping[str, Condition]]) -> Table:
     """All controllers: mean of the flights that did not crash, and how many did or are more than OFF m away."""
     worlds = _in_order({world: None for by_world in flown.values() for world in by_world})
-    lines = [
-        [TITLES.get(world, world), *(_short(by_world.get(world)) for by_world in flown.values())] for world in worlds
-    ]
+    lines = []
+    for world in worlds:
+        lines.append([TITLES.get(world, world), *(_short(by_world.get(world)) for by_world in flown.values())])
     title = "RMSE of the flights that did not crash (m); in brackets how many crashed + how many others are off by 2 m"
     return Table(["condition", *flown], lines, title)
 

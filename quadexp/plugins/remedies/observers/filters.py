@@ -105,7 +105,9 @@ def scaled_force_update(
     estimate = estimate + K @ error
     reduction = ca.DM.eye(N_SCALED) - K @ H
     P = reduction @ P @ reduction.T + noise * (K @ K.T)  # Joseph's form
-    scales = [limited(estimate[3 + i], low, high) for i, (low, high) in enumerate((SCALES, AIR_SCALES))]
+    scales = []
+    for i, (low, high) in enumerate((SCALES, AIR_SCALES)):
+        scales.append(limited(estimate[3 + i], low, high))
     fast = fast + read * gain * (y - H @ estimate - fast)
     return ca.vertcat(estimate[:3], *scales), ca.vec(P), fast
 
