@@ -275,21 +275,20 @@ def _touched(o: Call, targets: list[np.ndarray]) -> tuple[list[np.ndarray], list
         return [*o.function.arguments.values()], [*o.function.results.values()]
     if o.kind in ("plan", "python"):
         return (targets if o.kind == "python" else []), []
-    if o.kind == "commit":  # of a memory that is worked on in place what is read is its source
-        return [array for array in (o.source,) if array is not None], [
-            array for array in (o.to, o.source) if array is not None
-        ]
-    sources, to = ([], [o.to, o.other]) if o.kind == "window" else ([o.source, o.other], [o.to])
+    sources = [o.source, o.other]
+    to = [o.to]
+    if o.kind == "window":
+        sources = []
+        to = [o.to, o.other]
+    elif o.kind == "commit":  # of a memory that is worked on in place what is read is its source
+        sources = [o.source]
+        to = [o.to, o.source]
     return [array for array in sources if array is not None], [array for array in to if array is not None]
-
-
-def _targets(calls: list[Call]) -> list[np.ndarray]:
-    return [o.to for o in calls if o.to is not None]
 
 
 def _on_the_way(calls: list[Call], instant: ControlStep) -> list[Call]:
     """The calls from which a number gets to the command, at this instant or later; not what only watches."""
-    targets = _targets(calls)
+    targets = [o.to for o in calls if o.to is not None]
     needed = _places([instant.command])
     kept = set[int]()
     more = True
