@@ -9,7 +9,6 @@ controller.position_weight                  without a range: a tenth to ten time
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,7 +21,6 @@ from quadexp.parts.settings import Settings, declared, record
 TUNED = ("controller", *REMEDIES)  # groups whose settings can be varied
 AROUND = 10.0  # factor on the present value, up and down, of a range that is not given
 DIGITS = 4  # significant ones of a value that is tried, so that a preset can be read
-_RANGE = re.compile(r"([-+.\deE]+)\.\.([-+.\deE]+)(:log)?")
 _ENTRIES = {"x": (0,), "y": (1,), "z": (2,), "xy": (0, 1)}
 
 
@@ -181,14 +179,15 @@ def _limits(name: str, rule: str, start: float) -> tuple[float, float, bool]:
         if isinstance(start, int):
             return max(1, round(start / 2)), 2 * start, False
         return start / AROUND, AROUND * start, True
-    match = _RANGE.fullmatch(rule.replace(" ", ""))
+    log = rule.endswith(":log")
+    low_text, _, high_text = rule.removesuffix(":log").partition("..")
     try:
-        low, high = (float(text) for text in match.groups()[:2]) if match else (math.nan, math.nan)
+        low = float(low_text)
+        high = float(high_text)
     except ValueError:
-        match = None
-    if match is None:
+        low = high = math.nan
+    if not math.isfinite(high - low):
         raise UsageError(f"--vary {name}={rule}: expected LOW..HIGH or LOW..HIGH:log, such as 1..1000:log")
-    log = match[3] is not None
     if log and not low > 0:
         raise UsageError(f"--vary {name}={rule}: a logarithmic range begins above 0")
     return low, high, log
