@@ -73,6 +73,7 @@ N_SCALED_STATE = N_SCALED + N_SCALED**2 + 3  # [a, k, c], P, e^
 APART = 25.0  # rad/s
 SCALES = (-0.5, 1.0)  # limits of k
 AIR_SCALES = (-1.0, 4.0)  # of c
+STATED = 0.3  # scale above which `auto` no longer makes good the stated noise of the thrust
 SURPRISE = 4.0  # deviations: 1 in 16,000 of normal innovations of one axis
 
 
