@@ -30,16 +30,14 @@ from quadexp.plugins.exchange.simulators import MOMENTS, linear_force
 X_LAYOUT = ("fr", "bl", "fl", "br")  # of PX4's quadrotor x, whose SIH has these spins built in
 X_SPINS = (-1, -1, 1, 1)
 FRD = np.diag([1.0, -1.0, -1.0])  # of FLU
-# types of a QGroundControl parameter file
-INTEGER = 6
-REAL = 9
+INTEGER = 6  # type of a QGroundControl parameter file
+REAL = 9  # likewise
 SECOND_ORDER = (2026, 6)  # first Betaflight with the other curve
 FIRST = (4, 0)  # Betaflight with thrust_linear
 LARGEST_LINEAR = 150  # thrust_linear
 THRUSTS = np.linspace(0.1, 1.0, 200)  # shares of full thrust over which Betaflight's curve is fitted
-# ArduPilot's defaults
-SPIN_MIN = 0.15
-SPIN_MAX = 0.95
+SPIN_MIN = 0.15  # ArduPilot's default
+SPIN_MAX = 0.95  # likewise
 LOG_SCALE = "the signal s, 0 to 1, is that of the flights' log: the same limits of the motors' outputs must be set"
 
 

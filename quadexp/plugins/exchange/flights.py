@@ -18,9 +18,8 @@ from quadexp.physics.state import norms
 from quadexp.writer import check_output, write_text, written
 
 POSE = ("p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w")
-# 8-bit RGB; blue of Okabe and Ito
-BLUE = (0, 114, 178)
-GREY = (136, 136, 136)
+BLUE = (0, 114, 178)  # 8-bit RGB, of Okabe and Ito
+GREY = (136, 136, 136)  # 8-bit RGB
 
 
 def write_columns(flight: Flight, path: Path, *, force: bool = True) -> dict[str, Path]:

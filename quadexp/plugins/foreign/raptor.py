@@ -35,9 +35,8 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.laws.attitude import heading_of
 from quadexp.provenance import package_identity
 
-# widths of the published network
-HIDDEN = 16
-ACTIONS = 4
+HIDDEN = 16  # width of the published network
+ACTIONS = 4  # of the published network
 PLACES = np.radians([-45.0, -135.0, 135.0, 45.0])  # front right, back right, back left, front left
 SPINS = np.array([-1.0, 1.0, -1.0, 1.0])
 NEAR = np.radians(25.0)  # of a place: rotors of a stretched X

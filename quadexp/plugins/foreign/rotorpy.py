@@ -36,14 +36,9 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.world.base import PlantPart
 from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, RotorSpeedPlant
 
+# Places among the parameters.
 PARASITIC = slice(0, 3)
-ROTOR_DRAG = 3
-INFLOW = 4
-LIFT = 5
-FLAPPING = 6
-LAG = 7
-SPEED_MIN = 8
-SPEED_MAX = 9
+ROTOR_DRAG, INFLOW, LIFT, FLAPPING, LAG, SPEED_MIN, SPEED_MAX = range(3, 10)
 AIR = slice(0, 7)
 N_PARAMETERS = 10  # of the function below
 SLOWEST = 0.01  # share of rotor_speed_max, below which a controller believes that rotors do not go: w = sqrt(u / k) has
