@@ -163,27 +163,23 @@ class Comparison:
 
         over_own: over all its own completed flights.
         """
-        return self._means[label, over_own]
+        errors = []
+        contestant = self.contestants[label]
+        for condition in self.groups.worlds[self.world]:
+            flights = self.groups.cells.get((condition, contestant), ())
+            seeds = {flight.seed for flight in flights if flight.complete}
+            if not over_own:
+                compared = contestant in self._common.compared
+                seeds &= self._common.seeds.get(condition, frozenset()) if compared else frozenset()
+            values = self.groups.values(condition, contestant, 0, seeds)
+            values = values[np.isfinite(values)]
+            if len(values) and np.mean(values) > 0:
+                errors.append(np.mean(values))
+        return float(np.exp(np.mean(np.log(errors)))) if errors else math.nan
 
     @cached_property
-    def _means(self) -> dict[tuple[str, bool], float]:
-        means: dict[tuple[str, bool], list[float]] = {
-            (x, over_own): [] for x in self.contestants for over_own in (False, True)
-        }
-        among = self.groups.common(self.groups.worlds[self.world])
-        for (condition, contestant), flights in self.groups.cells.items():
-            if condition.world != self.world:
-                continue
-            completed = {f.seed for f in flights if f.complete}
-            common = among.seeds.get(condition, frozenset()) if contestant in among.compared else frozenset()
-            for over_own, seeds in ((False, completed & common), (True, completed)):
-                values = self.groups.values(condition, contestant, 0, seeds)
-                values = values[np.isfinite(values)]
-                if len(values) and np.mean(values) > 0:
-                    means[self.labels[contestant], over_own].append(float(np.mean(values)))
-        return {
-            at: float(np.exp(np.mean(np.log(values_of)))) if values_of else math.nan for at, values_of in means.items()
-        }
+    def _common(self) -> Any:
+        return self.groups.common(self.groups.worlds[self.world])
 
     @cached_property
     def order(self) -> list[str]:
