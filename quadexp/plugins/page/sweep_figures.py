@@ -18,7 +18,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.names import distinct, file_name
 from quadexp.plugins.page.view import View, automatic
 from quadexp.report.frame import SweepFrame
-from quadexp.report.pairing import Row, Rows, condition_of, contestant_labels, contestant_of, is_flown
+from quadexp.report.pairing import Row, Rows, condition_of, contestant_labels, contestant_of, grouped, is_flown
 from quadexp.report.tables import course_labels
 from quadexp.report.text import speed_text
 from quadexp.sweeps.engine import Workers, cause
@@ -81,38 +81,34 @@ def path_grids(rows: Rows) -> dict[str, PathGrid]:
     for key in ("plant", "vehicle"):
         if len({row[key] for row in rows}) > 1:
             several.append(key)
-    cells: dict[str, dict[tuple[str, str, float], Row]] = {}
+    cells: dict[str, dict[tuple[str, float], dict[str, Row]]] = {}
     for row in rows:
         *_, speed, setting = condition_of(row)
         worlds = [str(row[key]) for key in several]  # as tables name them
         settings = courses[row["trajectory"], setting].removeprefix(row["trajectory"]).strip(", ")
         words = ", ".join(filter(None, [*worlds, settings])).replace("=", " ")
-        place = names[contestant_of(row)], words, speed or 0.0
-        cells_of_trajectory = cells.setdefault(row["trajectory"], {})
-        if place not in cells_of_trajectory or (is_flown(row) and not is_flown(cells_of_trajectory[place])):
-            cells_of_trajectory[place] = row
+        name = names[contestant_of(row)]
+        of_condition = cells.setdefault(row["trajectory"], {}).setdefault((words, speed or 0.0), {})
+        if name not in of_condition or (is_flown(row) and not is_flown(of_condition[name])):
+            of_condition[name] = row
     grids: dict[str, PathGrid] = {}
-    for trajectory, cells_of_trajectory in cells.items():
-        flown = sorted(
-            {place[1:] for place, row in cells_of_trajectory.items() if is_flown(row)}, key=lambda place: place[::-1]
-        )
-        speeds = {words: [speed for other, speed in flown if other == words] for words, _ in flown}
+    for trajectory, conditions in cells.items():
+        flown = [condition for condition, of in conditions.items() if any(map(is_flown, of.values()))]
+        flown.sort(key=lambda condition: condition[::-1])
+        speeds = grouped(flown)
         each = max(1, MAX_CONDITIONS // max(len(speeds), 1))
-        kept = [
-            (words, speed)
-            for words, of_words in list(speeds.items())[:MAX_CONDITIONS]
-            for speed in sorted({of_words[round(k)] for k in np.linspace(len(of_words) - 1, 0, each)})
-        ]
+        kept = []
+        for words, of_words in list(speeds.items())[:MAX_CONDITIONS]:
+            chosen = sorted({round(k) for k in np.linspace(len(of_words) - 1, 0, each)})
+            kept += [(words, of_words[k]) for k in chosen]
         texts = {(words, v): ", ".join(filter(None, (speed_text(v or None), words))) for words, v in flown}
-        chosen = {
-            (name, texts[condition]): row
-            for condition in kept
-            for (name, *other), row in cells_of_trajectory.items()
-            if tuple(other) == condition
-        }
+        shown = {}
+        for condition in kept:
+            for name, row in conditions[condition].items():
+                shown[name, texts[condition]] = row
         if kept:
-            left_out = [text for place, text in texts.items() if place not in kept]
-            grids[trajectory] = PathGrid(chosen, left_out)
+            left_out = [text for condition, text in texts.items() if condition not in kept]
+            grids[trajectory] = PathGrid(shown, left_out)
     return grids
 
 
