@@ -69,6 +69,7 @@ EXACT = [name for name in METRICS if not name.startswith("solve_time")]  # the s
 NOTE = "means over the flights that all of them completed in every one of these results"
 
 Key = tuple[Any, ...]  # condition, contestant, seed
+Report = dict[str, Any]  # by the names that --json has
 
 
 class Side(NamedTuple):
@@ -114,7 +115,7 @@ def _checkpoint(path: Path) -> Side:
 SIDES = {"flight": _flight, "checkpoint": _checkpoint}
 
 
-def compare(*files: str | Path) -> dict[str, Any]:
+def compare(*files: str | Path) -> Report:
     """What differs; `lines` and `tables` are for people, the rest for programs (SI units).
 
     Raises UsageError if something is not there, not of the same kind, or of a kind that cannot be compared.
@@ -127,7 +128,7 @@ def compare(*files: str | Path) -> dict[str, Any]:
         if kind != kinds[0]:
             named = [k if k == "results" else f"a {k}" for k in (kinds[0], kind)]
             raise UsageError(f"cannot compare {named[0]} ({files[0]}) with {named[1]} ({path}): give two of one kind")
-    report: dict[str, Any] = {"kind": kinds[0], "names": names_of(paths)}
+    report: Report = {"kind": kinds[0], "names": names_of(paths)}
     report |= {"a": str(files[0]), "b": str(files[1])} if len(paths) == 2 else {}
     report |= _results(paths) if kinds[0] == "results" else _sides([SIDES[kinds[0]](path) for path in paths], paths)
     if len(paths) > 2:
@@ -144,7 +145,7 @@ def names_of(paths: Sequence[Path]) -> list[str]:
 
 
 # --------------------------------------------------------------------------------------------------- settings, numbers
-def record_of(metadata: Mapping[str, Any]) -> dict[str, Any]:
+def record_of(metadata: Mapping[str, Any]) -> Report:
     """What decides a flight: its configuration, the content of its checkpoint, and the versions that flew it."""
     git = (metadata.get("provenance") or {}).get("git") or {}
     versions = {"sources": metadata.get("sources") or "", "commit": (git.get("commit") or "")[:10]}
@@ -205,7 +206,7 @@ def _number_row(name: str, values: Sequence[float]) -> list[str]:
 
 
 # ------------------------------------------------------------------------------------------------ flights, checkpoints
-def _sides(sides: Sequence[Side], paths: Sequence[Path]) -> dict[str, Any]:
+def _sides(sides: Sequence[Side], paths: Sequence[Path]) -> Report:
     """Settings and numbers beside each other; of two flights also the outcome and the distance between the paths."""
     settings = differing(*(side.settings for side in sides))
     names = names_of(paths)
@@ -215,7 +216,7 @@ def _sides(sides: Sequence[Side], paths: Sequence[Path]) -> dict[str, Any]:
             metrics[name] = [side.numbers.get(name, math.nan) for side in sides]
     tables = [_setting_table(settings, names)] if settings else []
     tables.append(Table(["figure", *names], [_number_row(name, values) for name, values in metrics.items()]))
-    report: dict[str, Any] = {"configuration": settings, "metrics": metrics, "tables": tables}
+    report: Report = {"configuration": settings, "metrics": metrics, "tables": tables}
     flights = [side.flight for side in sides if side.flight is not None]
     if flights:
         report["outcome"] = [flight.metadata["row"]["outcome"] for flight in flights]
@@ -244,7 +245,7 @@ def _sides(sides: Sequence[Side], paths: Sequence[Path]) -> dict[str, Any]:
     return report | {"metrics": changes, "only": only, "lines": lines}
 
 
-def _paths(a: Flight, b: Flight) -> dict[str, Any]:
+def _paths(a: Flight, b: Flight) -> Report:
     """The distance between two flights at the times of the one with the longer period, as far as both flew."""
     names = [name for name in a.columns if name in b.columns and name not in MEASURED]
     same = len(a) == len(b) and set(a.columns) == set(b.columns)
@@ -282,7 +283,7 @@ def matched(*tables: Rows) -> list[dict[Key, Row]]:
     return sides
 
 
-def _results(paths: Sequence[Path]) -> dict[str, Any]:
+def _results(paths: Sequence[Path]) -> Report:
     """Results folders; see the module. The metric is the first one's."""
     _, tables, records = zip(*map(read_results, paths), strict=True)
     metric = records[0].get("metric", "mean_error")
@@ -351,7 +352,7 @@ def _cell_settings(roots: Sequence[Path], cells: Mapping[Key, tuple[Row, ...]]) 
     first: dict[Key, tuple[Row, ...]] = {}
     for key, pair in cells.items():
         first.setdefault(key[:2], pair)
-    differ: dict[str, list[dict[str, Any]]] | None = None  # key -> of each side: text -> value
+    differ: dict[str, list[Report]] | None = None  # key -> of each side: text -> value
     for pair in list(first.values())[:MOST_CONFIGURATIONS]:
         try:
             files = (CellStore(root).path(row["key"]) for root, row in zip(roots, pair, strict=True))
@@ -372,12 +373,12 @@ def _cell_settings(roots: Sequence[Path], cells: Mapping[Key, tuple[Row, ...]]) 
 
 def _contestants(
     cells: Mapping[Key, tuple[Row, ...]], labels: Mapping[Any, str], record: Mapping[str, Any]
-) -> list[dict[str, Any]]:
+) -> list[Report]:
     """For each contestant: completed flights, means of a and b over those that it completed in both, b against a."""
     metric = record.get("metric", "mean_error")
     confidence = record.get("confidence", 0.95)
     pooled: list[Statistic] = []
-    records: list[dict[str, Any]] = []
+    records: list[Report] = []
     for contestant, label in labels.items():
         pairs = {key: pair for key, pair in cells.items() if key[1] == contestant}
         sides = []
