@@ -10,6 +10,7 @@ from quadexp.physics.state import root_mean_square
 from quadexp.plugins.papers.lei_li.report import flown, titled, without_corridor
 from quadexp.report.metrics import position_error
 from quadexp.report.pairing import Rows
+from quadexp.report.paper import Drawn
 from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.table import Table
 
@@ -21,7 +22,7 @@ TITLES = {
 }
 
 
-def draw(rows: Rows, out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
+def draw(rows: Rows, out: Path) -> Drawn:
     """Table and figure, of the flights whose vehicle changes."""
     flights: dict[str, dict[str, Flight]] = {}
     for row, flight in flown(without_corridor(rows), out):

@@ -7,7 +7,7 @@ from pathlib import Path
 from quadexp.plugins.papers.ladder import means_by_place, means_figure, means_table
 from quadexp.plugins.papers.lei_li.report import without_corridor
 from quadexp.report.pairing import Rows
-from quadexp.report.style import Figure
+from quadexp.report.paper import Drawn
 
 ORDER = (  # learned residuals and identified physics, with MPC and with feedback; perfect and oracle are bounds
     "nominal_mpc",
@@ -26,7 +26,7 @@ TITLE = (
 )
 
 
-def draw(rows: Rows, out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
+def draw(rows: Rows, out: Path) -> Drawn:
     """Means by condition and controller; bold by the rule of report/winner.py."""
     means = means_by_place(without_corridor(rows), "plant", ORDER)
     return {"families": means_table(means, TITLE, bold=True).markdown()}, {"families": means_figure(means)}

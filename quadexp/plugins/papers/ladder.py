@@ -16,6 +16,7 @@ from quadexp.names import distinct
 from quadexp.plugins.page.draw import figure_of
 from quadexp.plugins.page.view import Axis, Place, View
 from quadexp.report.pairing import Rows, contestant_labels, grouped
+from quadexp.report.paper import Drawn
 from quadexp.report.paper_cells import Point
 from quadexp.report.statistics import Statistic, compute_statistics
 from quadexp.report.style import Figure
@@ -36,7 +37,7 @@ class Means(NamedTuple):
     places: dict[tuple[str, str, float], dict[str, Statistic]]
 
 
-def draw(rows: Rows, out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
+def draw(rows: Rows, out: Path) -> Drawn:
     """Table and figure of the ladder."""
     return {"ladder": overview(rows).markdown()}, {"ladder": means_figure(means_by_place(rows, "world"))}
 

@@ -20,6 +20,7 @@ from quadexp.names import named
 from quadexp.physics.rotor import THETA
 from quadexp.report.metrics import position_error
 from quadexp.report.pairing import Row, Rows
+from quadexp.report.paper import Drawn
 from quadexp.report.style import COLOURS, DASHES, GREY, Figure, entries, looks, plain_log, styled
 from quadexp.report.table import Table
 from quadexp.report.text import speed_text
@@ -49,7 +50,7 @@ def flown(rows: Iterable[Row], out: Path) -> list[tuple[Row, Flight]]:
     return [(row, read_flight(store.path(row["key"]), whole=True)) for row in rows if row["outcome"] in ("ok", "lost")]
 
 
-def draw(rows: Rows, out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
+def draw(rows: Rows, out: Path) -> Drawn:
     """Figures 2-4 of the paper, at its speed and as printed (without the cone), and the table of all."""
     rows = without_corridor(rows)
     printed = [row for row in rows if "cone=true" not in row["variant"].lower()]

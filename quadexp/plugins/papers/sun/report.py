@@ -36,6 +36,7 @@ from quadexp.plugins.papers.sun.data import CRASHED, FLIGHTS, INFEASIBLE, Ellips
 from quadexp.reference.ellipse import Ellipse as ReferenceEllipse
 from quadexp.report.inference import holm, mean_interval, paired_permutation
 from quadexp.report.pairing import Row, Rows, grouped
+from quadexp.report.paper import Drawn
 from quadexp.report.paper_cells import Point
 from quadexp.report.style import Figure
 from quadexp.report.table import Table
@@ -210,7 +211,7 @@ def with_logged(rows: Iterable[Row], out: str | Path) -> list[dict[str, Any]]:
     ]
 
 
-def draw(rows: Rows, out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
+def draw(rows: Rows, out: Path) -> Drawn:
     """Tables and figure of a sweep."""
     flown = conditions(with_logged(rows, out))
     texts = [sun_table(flown), *(table.markdown() for table in [compared(rows)] if table.rows)]
