@@ -17,7 +17,6 @@ FLU here, FRD there: x, -y, -z.
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -84,7 +83,7 @@ def _rotors(known: Known, order: list[int]) -> dict[str, Quantity]:
     return numbers
 
 
-def px4(known: Known, firmware: str | None, path: Path) -> Written:
+def px4(known: Known) -> Written:
     """Thrust curve, hover and allocation of a vehicle that flies PX4; rotors in the order of the flights' motors."""
     known.require_commands("px4")
     share, lost = _share(known)
@@ -94,7 +93,7 @@ def px4(known: Known, firmware: str | None, path: Path) -> Written:
     return Written(_qgc(numbers), numbers, lost)
 
 
-def px4_sih(known: Known, firmware: str | None, path: Path) -> Written:
+def px4_sih(known: Known) -> Written:
     """The vehicle in PX4's simulation SIH, whose motors are linear."""
     known.require_commands("px4_sih")
     order = known.place("px4_sih", X_LAYOUT, X_SPINS)
@@ -125,7 +124,7 @@ def px4_sih(known: Known, firmware: str | None, path: Path) -> Written:
     return Written(_qgc(numbers), numbers, lost)
 
 
-def ardupilot(known: Known, firmware: str | None, path: Path) -> Written:
+def ardupilot(known: Known) -> Written:
     """Thrust curve and hover; for ends a, b of the spin MOT_THST_EXPO is f (b - a) / (1 - f + f (a + b))."""
     known.require_commands("ardupilot")
     share, lost = _share(known, least=-1.0)
@@ -148,7 +147,7 @@ def ardupilot(known: Known, firmware: str | None, path: Path) -> Written:
     return Written(text, numbers, lost)
 
 
-def betaflight(known: Known, firmware: str | None, path: Path) -> Written:
+def betaflight(known: Known, firmware: str | None) -> Written:
     """thrust_linear, whole percent; the firmware has two forms of it."""
     known.require_commands("betaflight")
     version = _version(firmware)
@@ -203,6 +202,11 @@ PX4_SIH = Target(
 )
 ARDUPILOT = Target("ardupilot", ardupilot, ".param", "Parameters for ArduCopter", frozenset({"voltage"}))
 BETAFLIGHT = Target(
-    "betaflight", betaflight, ".txt", "Lines for Betaflight's command line", frozenset({"voltage", "firmware"})
+    "betaflight",
+    betaflight,
+    ".txt",
+    "Lines for Betaflight's command line",
+    frozenset({"voltage", "firmware"}),
+    asks=("firmware",),
 )
 PX4 = Target("px4", px4, ".params", "Parameters for PX4 (QGroundControl's format)", frozenset({"voltage"}))

@@ -39,8 +39,9 @@ class Written(NamedTuple):
 
 @dataclass(frozen=True)
 class Target:
-    """A format. write: makes it, of what is known and the firmware. suffix: of the file. title: what it is for.
-    uses: those of OPTIONS that change it. comment: before and after every line of its head, or of the whole."""
+    """A format. write: makes it, of what is known. suffix: of the file. title: what it is for. uses: those of OPTIONS
+    that change it. comment: before and after every line of its head, or of the whole. asks: what `write` is given
+    beside what is known, of firmware and path."""
 
     name: str
     write: Callable[..., Written]
@@ -48,6 +49,7 @@ class Target:
     title: str
     uses: frozenset[str] = frozenset()
     comment: tuple[str, str, str] = ("", "# ", "")
+    asks: tuple[str, ...] = ()
 
     def __call__(
         self,
@@ -72,7 +74,8 @@ class Target:
         known, origin = _known(source, vehicle, conf, options)
         path = out if out is not None else Path(f"{_stem(source)}_{self.name}{self.suffix}")
         check_output(path, force=force)
-        written = self.write(known, options.get("firmware"), path)
+        more = {"path": path, "firmware": options.get("firmware")}
+        written = self.write(known, *(more[name] for name in self.asks))
         lost = [*written.lost, *_lost(known, written.whole)]
         head = [f"{self.title}, written by quadexp {__version__}", *origin, self._voltage(known), ""]
         head += [*_table(written.numbers), "", "What is not in this file:", *(f"- {line}" for line in lost)]

@@ -64,7 +64,7 @@ def _numbers(known: Known) -> dict[str, Quantity]:
     return numbers
 
 
-def casadi(known: Known, firmware: str | None, path: Path) -> Written:
+def casadi(known: Known, path: Path) -> Written:
     """`.casadi`: the serialised function; `.py`: Python that builds it."""
     function = equations(known)
     if path.suffix == ".py":
@@ -79,7 +79,7 @@ def casadi(known: Known, firmware: str | None, path: Path) -> Written:
     return Written("", _numbers(known), [STATE, *lost], content, whole=True)
 
 
-def c(known: Known, firmware: str | None, path: Path) -> Written:
+def c(known: Known) -> Written:
     """One C file without dependencies, with the interface of CasADi's generated code."""
     function = equations(known)
     generator = ca.CodeGenerator("model.c")
@@ -126,5 +126,5 @@ def _statement(function: ca.Function, i: int, names: dict[int, str]) -> str:
     return f"w[{outputs[0]}] = {'one' if len(inputs) == 1 else 'two'}(ca.{names[code]}, {operands})"
 
 
-CASADI = Target("casadi", casadi, ".casadi", "The model as a CasADi function")
+CASADI = Target("casadi", casadi, ".casadi", "The model as a CasADi function", asks=("path",))
 C = Target("c", c, ".c", "The model as C", comment=("/*", "", "*/"))

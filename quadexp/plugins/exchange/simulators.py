@@ -14,7 +14,6 @@ Symbols as in known.py; J: inertia, r_i = (x, y, z) and s_i: rotors, tau: motor 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -112,7 +111,7 @@ def plain(value: Any) -> Any:
     return np.asarray(value).tolist()
 
 
-def rotorpy(known: Known, firmware: str | None, path: Path) -> Written:
+def rotorpy(known: Known) -> Written:
     """quad_params of RotorPy's Multirotor, a Python file."""
     known.require_speeds("rotorpy")
     air = per_rotor(known)
@@ -146,7 +145,7 @@ quad_params = {{
     return Written(text, numbers, [*lost, *hub_lost(known, air)])
 
 
-def crazyflow(known: Known, firmware: str | None, path: Path) -> Written:
+def crazyflow(known: Known) -> Written:
     """A section of crazyflow's first_principles/params.toml, under the vehicle's name."""
     if known.vehicle.n_rotors != 4:
         raise UsageError(f"--to crazyflow: has four rotors, vehicle={known.vehicle.name} has {known.vehicle.n_rotors}")
@@ -188,7 +187,7 @@ def crazyflow(known: Known, firmware: str | None, path: Path) -> Written:
     return Written(text, numbers, lost)
 
 
-def agilicious(known: Known, firmware: str | None, path: Path) -> Written:
+def agilicious(known: Known) -> Written:
     """A quadrotor file of agilicious."""
     known.require_speeds("agilicious")
     quadrants = ("fr", "bl", "br", "fl")
