@@ -60,7 +60,7 @@ def write_archive(results: str | Path, out: str | Path, *, force: bool = False) 
     files |= {f"results/{file.relative_to(root).as_posix()}": file.read_bytes() for file in members if _is_result(file)}
     files["citations.bib"] = bibtex(root).encode()
     files["versions.txt"] = versions_text(record).encode()
-    files["README.md"] = readme(rows, record, [RERUN, *conf], names).encode()
+    files["README.md"] = readme(rows, [RERUN, *conf], names).encode()
     sums = (f"{sha256_of(content)}  {name}\n" for name, content in sorted(files.items()))
     files["SHA256SUMS"] = "".join(sums).encode()
     packed = io.BytesIO()
@@ -175,7 +175,7 @@ def versions_text(record: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def readme(rows: Rows, record: Mapping[str, Any], conf: Iterable[str], names: Sequence[str]) -> str:
+def readme(rows: Rows, conf: Iterable[str], names: Sequence[str]) -> str:
     """What the archive is, and its commands; each runs in the folder that it is unpacked into."""
     folders = []
     for folder in distinct(conf):

@@ -4,7 +4,7 @@
                           or not flown come after them, and share theirs
     mean rank             mean over tasks and worlds, then over seeds; its interval is Student's t over six seeds or
                           more: of three, whose ranks are few numbers, it held the mean in 90 % of 2,000 tables for 95
-    significantly different            by the paired permutation test of the seeds, p < 1 - confidence: six seeds can,
+    significantly different            by the paired permutation test of the seeds, p < 1 - CONFIDENCE: six seeds can,
     fewer cannot
     place                 those not significantly different, by the number of flights lost, from the entry that lost the
     fewest come
@@ -31,6 +31,7 @@ from scipy.stats import rankdata
 from quadexp.names import named
 from quadexp.report.inference import NO_INTERVAL, Ratio, least_seeds, log_ratio, mean_interval, paired_permutation
 from quadexp.report.pairing import Row, Rows, grouped, seed_means, whole
+from quadexp.report.statistics import CONFIDENCE
 
 
 @dataclass(frozen=True)
@@ -60,9 +61,7 @@ class Standing:
         return self.place == 0
 
 
-def standings(
-    rows: Rows, *, metric: str = "mean_error", baseline: str = "", confidence: float = 0.95
-) -> list[Standing]:
+def standings(rows: Rows, *, metric: str = "mean_error", baseline: str = "") -> list[Standing]:
     """The board of one family: ranked entries by place, then bounds by their lost flights and ratio.
 
     rows: with entry, settings, bound, task, world, seed beside those of a result; every entry has all cells.
@@ -82,7 +81,7 @@ def standings(
     ranks = named(ranked, rankdata(errors[ranked], axis=0))  # ties share their mean rank
     seed_ranks = {i: np.array([np.mean(of_entry[k]) for k in of_seed.values()]) for i, of_entry in ranks.items()}
     seed_losses = np.array([[of_entry[k].sum() for k in of_seed.values()] for of_entry in lost])
-    order = _order(seed_losses, seed_ranks, confidence)
+    order = _order(seed_losses, seed_ranks)
     least = np.min(errors[ranked], axis=0, initial=np.inf)
     board = []
     for i, name in enumerate(names):
@@ -93,11 +92,11 @@ def standings(
         if i in seed_ranks:
             place = 1 + order.index(i)
             above = order[max(place - 2, 0)]
-            apart = any(_apart(of[i] - of[above], confidence) for of in (seed_losses, seed_ranks))
+            apart = any(_apart(of[i] - of[above]) for of in (seed_losses, seed_ranks))
             level = place > 1 and not apart
             rank = float(np.mean(seed_ranks[i]))
-            if len(of_seed) >= least_seeds(1, confidence):
-                limits = mean_interval(seed_ranks[i], confidence, least=1.0)
+            if len(of_seed) >= least_seeds(1):
+                limits = mean_interval(seed_ranks[i], least=1.0)
         ratios = _log_ratios(errors[i], least)
         known = ratios[np.isfinite(ratios)]
         other = errors[places[baseline]] if baseline in places and name != baseline else np.full(len(cells), np.inf)
@@ -120,7 +119,7 @@ def standings(
                 rank_high=min(limits.high, len(order)),
                 least=math.exp(float(np.mean(known))) if len(known) else math.nan,
                 least_cells=len(known),
-                ratio=log_ratio(seed_means(against), confidence),
+                ratio=log_ratio(seed_means(against)),
                 ratio_cells=len(whole(against.keys())) if against else 0,
                 step=float(np.median(times)) if len(times) else math.nan,
             )
@@ -128,22 +127,22 @@ def standings(
     return sorted(board, key=lambda standing: (standing.bound, standing.place, standing.lost, standing.least))
 
 
-def _order(losses: np.ndarray, ranks: Mapping[int, np.ndarray], confidence: float) -> list[int]:
+def _order(losses: np.ndarray, ranks: Mapping[int, np.ndarray]) -> list[int]:
     """Entries by place; see the module. losses: of each entry and seed. ranks: entry -> mean rank of each seed."""
     rest = sorted(ranks, key=lambda i: (int(losses[i].sum()), float(np.mean(ranks[i]))))
     order: list[int] = []
     while rest:
         alike = []
         for i in rest:
-            if not _apart(losses[i] - losses[rest[0]], confidence):
+            if not _apart(losses[i] - losses[rest[0]]):
                 alike.append(i)
         order += sorted(alike, key=lambda i: float(np.mean(ranks[i])))
         rest = [i for i in rest if i not in alike]
     return order
 
 
-def _apart(differences: np.ndarray, confidence: float) -> bool:
-    return paired_permutation(differences) < 1 - confidence
+def _apart(differences: np.ndarray) -> bool:
+    return paired_permutation(differences) < 1 - CONFIDENCE
 
 
 def cell_of(row: Row) -> tuple[str, str, int]:

@@ -22,7 +22,7 @@ BLUE = (0, 114, 178)  # 8-bit RGB, of Okabe and Ito
 GREY = (136, 136, 136)  # 8-bit RGB
 
 
-def write_columns(flight: Flight, path: Path, *, force: bool = True) -> dict[str, Path]:
+def write_columns(flight: Flight, path: Path, *, force: bool) -> dict[str, Path]:
     """One CSV of all columns, and `<path>.json` with units, frames and the flight's record; returns name -> file.
 
     Numbers stand in the shortest digits that give the same double back, so nothing is lost; NaN is an empty cell.
@@ -39,7 +39,7 @@ def write_columns(flight: Flight, path: Path, *, force: bool = True) -> dict[str
     return {"csv": path, "about": write_text(beside, json.dumps(about, indent=1, sort_keys=True) + "\n", force=force)}
 
 
-def write_poses(flight: Flight, path: Path, *, force: bool = True) -> dict[str, Path]:
+def write_poses(flight: Flight, path: Path, *, force: bool) -> dict[str, Path]:
     """TUM, `t x y z qx qy qz qw` (s, m, world ENU; body to world, w last), and the reference as
     `<stem>_reference<suffix>`: `evo_ape tum flight_reference.tum flight.tum` compares them. Returns name -> file."""
     files = {"tum": path}
@@ -56,7 +56,7 @@ def write_poses(flight: Flight, path: Path, *, force: bool = True) -> dict[str, 
     return files
 
 
-def write_recording(flight: Flight, path: Path, *, force: bool = True) -> dict[str, Path]:
+def write_recording(flight: Flight, path: Path, *, force: bool) -> dict[str, Path]:
     """A recording for the Rerun viewer over the timeline `t`: world/drone, world/flown and world/reference (ENU), the
     distance to the reference (m), every column under columns/, the record as text.
 

@@ -99,8 +99,14 @@ class DroneModelsPlant(RotorSpeedPlant):
         """Parameters of the equations, (14,)."""
         keys = self.keys
         return np.hstack(
-            [keys.thrust_curve, keys.torque_curve, keys.spin_up, keys.spin_down, keys.linear_drag]
-            + [keys.propeller_inertia]
+            [
+                keys.thrust_curve,
+                keys.torque_curve,
+                keys.spin_up,
+                keys.spin_down,
+                keys.linear_drag,
+                keys.propeller_inertia,
+            ]
         )
 
     def initial(self, thrust: npt.ArrayLike) -> np.ndarray:

@@ -103,11 +103,11 @@ class Aid:
     compare: Callable[[Expression, Expression], list[Innovation]]
     first_guess: dict[int, float]
 
-    def sampling(self, *, outages: bool = True) -> np.ndarray:
+    def sampling(self) -> np.ndarray:
         """Parameters of `sample`, (3,)."""
         from scipy.special import ndtri
 
-        share = self.dropout if outages else 0.0
+        share = self.dropout
         ends = 1 / max(self.outage * self.rate, 1 / (1 - share))
         begins = ends * share / (1 - share)
         return np.array([self.rate, *np.clip(ndtri([begins, ends]), -FAR, FAR)])

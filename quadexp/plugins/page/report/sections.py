@@ -133,7 +133,7 @@ def _number_block(comparison: Comparison, metric: str) -> Block:
     return Block(metric_of(metric).title, metric, tables=tables, notes=table_notes(statistics, tests))
 
 
-def worst_rows(comparison: Comparison, most: int = WORST) -> list[Row]:
+def worst_rows(comparison: Comparison) -> list[Row]:
     """Flights that were not completed, then the largest errors: the worst seed of each contestant and condition, at
     most EACH per contestant."""
 
@@ -150,7 +150,7 @@ def worst_rows(comparison: Comparison, most: int = WORST) -> list[Row]:
             continue
         seen.append(condition_of(row))
         chosen.append(row)
-    return chosen[:most]
+    return chosen[:WORST]
 
 
 def worst_section(page: Page) -> Section:
