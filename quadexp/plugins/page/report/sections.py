@@ -74,7 +74,7 @@ def scoreboard(comparison: Comparison) -> Table:
     for label in comparison.order:
         pooled = comparison.overall.get(label)
         flights = comparison.success(label)
-        mean = factor * comparison.geometric_mean(label, over_own=False)
+        mean = factor * comparison.geometric_mean(label)
         own_mean = factor * comparison.geometric_mean(label, over_own=True)
         beyond = flights.ended > (verdict.common if mean == mean else 0)
         role = "best" if verdict.best and label == verdict.least else ""

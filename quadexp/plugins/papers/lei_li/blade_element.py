@@ -220,8 +220,8 @@ def _force_function(vehicle: Vehicle) -> ca.Function:
     n = vehicle.n_rotors
     v, w, theta, induced = symbols(ca.SX, v=3, w=n, theta=5, V_I=n)
     flow = rotor_flow(vehicle, v)
-    equation = balance(vehicle.rotor_geometry, theta[C_LA], w, flow.in_plane_squared, flow.axial, ADOPTED)
-    force, _ = aerodynamic_wrench(vehicle, theta, v, w, induced, terms=ADOPTED)
+    equation = balance(vehicle.rotor_geometry, theta[C_LA], w, flow.in_plane_squared, flow.axial)
+    force, _ = aerodynamic_wrench(vehicle, theta, v, w, induced)
     slope = ca.jacobian(force, theta) + ca.jacobian(force, induced) @ equation.derivative(induced, theta)
     results = [force / vehicle.mass, ca.densify(slope) / vehicle.mass]
     solution = safe_newton(equation, SAFE_ITERATIONS)

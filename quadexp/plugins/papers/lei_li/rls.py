@@ -42,7 +42,7 @@ from quadexp.compile.memory import NEXT, NOW
 from quadexp.compile.symbolic import ca
 from quadexp.names import named
 from quadexp.parts.settings import Settings, key, keyed, part
-from quadexp.physics.blade_element import ADOPTED, aerodynamic_wrench, rotor_flow
+from quadexp.physics.blade_element import aerodynamic_wrench, rotor_flow
 from quadexp.physics.expression import Expression, limited, named_function, named_symbols
 from quadexp.physics.induced_velocity import balance, safe_newton
 from quadexp.physics.rotor import C_D0, C_DX, C_DY, C_DZ, C_LA, THETA, BladeCoefficients, BladeKeys
@@ -77,9 +77,9 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
     coefficients = ca.SX.sym("coefficients", len(THETA))
 
     flow = rotor_flow(vehicle, v)
-    equation = balance(vehicle.rotor_geometry, used[C_LA], w, flow.in_plane_squared, flow.axial, ADOPTED)
+    equation = balance(vehicle.rotor_geometry, used[C_LA], w, flow.in_plane_squared, flow.axial)
     induced = ca.SX.sym("V_I", n)
-    force, _ = aerodynamic_wrench(vehicle, coefficients, v, w, induced, terms=ADOPTED)
+    force, _ = aerodynamic_wrench(vehicle, coefficients, v, w, induced)
     regressors = ca.jacobian(force, coefficients) / vehicle.mass
     gain_regressors = regressors
     if gauss_newton:
