@@ -30,7 +30,8 @@ from quadexp.writer import check_output
 if TYPE_CHECKING:
     from quadexp.report.table import Table
 
-SHOWN_ROWS, SHOWN_COLUMNS = 6, 12  # of a table in a notebook
+SHOWN_ROWS = 6  # of a table in a notebook
+SHOWN_COLUMNS = 12
 
 
 class Frame(pd.DataFrame):

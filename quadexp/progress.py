@@ -15,7 +15,8 @@ from typing import Any
 
 from quadexp.messages import CleanStream, clean, printable, raw
 
-PATIENCE, AGAIN = 3.0, 0.5  # s, after which a command says what it does, and how often
+PATIENCE = 3.0  # s, after which a command says what it does
+AGAIN = 0.5  # s, how often
 
 
 class Waiting:

@@ -15,7 +15,8 @@ import numpy as np
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.symbolic import ca
 
-NOW, NEXT = "memory_", "next_"  # before the names of what a function reads and writes of the memory
+NOW = "memory_"  # before the names of what a function reads of the memory
+NEXT = "next_"  # and writes
 
 
 class Memory:
@@ -59,15 +60,6 @@ class Memory:
         """Go on from `now` as it once was, (m,)."""
         self.now[...] = values
         self.take_back()
-
-
-class Sums(Memory):
-    """Memory that is added to behind all that may be refused: what it is now is never gone back from."""
-
-    def __init__(self, owner: str, sizes: Mapping[str, int]) -> None:
-        super().__init__(owner, sizes)
-        self.of_next = self.of_now
-        self.pairs = []
 
 
 def sizes_of(functions: Iterable[ca.Function]) -> dict[str, int]:

@@ -59,14 +59,4 @@ class SensorSpec:
     attitude: Stated | None = STATE_ALONE
 
 
-def later_speeds(sheet: SensorSpec) -> float:
-    """By how much rotor speeds are older than the body rates (s), as far as it is stated."""
-    speeds = sheet.rotor_speed
-    gyroscope = sheet.gyroscope
-    if speeds is None:
-        return 0.0
-    rates = 0.0 if gyroscope is None else gyroscope.delay or 0.0
-    return max((speeds.delay or 0.0) - rates, 0.0)
-
-
 __getattr__ = names_of(__name__)

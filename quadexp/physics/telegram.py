@@ -16,7 +16,8 @@ import math
 from quadexp.compile.symbolic import ca
 from quadexp.physics.expression import Expression
 
-MANTISSA, LARGEST_EXPONENT = 512, 7  # of 9 bits and of 3 bits, as in the format
+MANTISSA = 512  # of 9 bits
+LARGEST_EXPONENT = 7  # of 3 bits
 SLOWEST = 1.0  # rad/s, that is given everything slower
 MICROSECOND = 1e-6  # s
 

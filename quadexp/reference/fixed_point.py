@@ -103,7 +103,8 @@ class _Iteration:
         share = np.ones(len(self.demand.t))
         settled = decoupled
         step = self._step
-        smallest, waited = np.inf, 0  # change, and iterations since it fell to PROGRESS of its smallest value
+        smallest = np.inf  # change
+        waited = 0  # iterations since it fell to PROGRESS of its smallest value
         for i in range(self.settings.max_iterations):
             used = air
             predicted, outputs = step(air)

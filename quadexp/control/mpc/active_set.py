@@ -28,7 +28,8 @@ from quadexp.control.mpc.node import Form
 from quadexp.control.mpc.step import Arrays, Step, dynamics_of
 from quadexp.physics.state import ATTITUDE, norms
 
-TOLERANCE, LOOSE = 1e-10, 1e-7  # N: violation that changes the active set; error with which a result is accepted
+TOLERANCE = 1e-10  # N, violation that changes the active set
+LOOSE = 1e-7  # N, error with which a result is accepted
 ROUNDS = 10  # of the active set, at most, after DAQP's
 
 

@@ -124,7 +124,8 @@ class FirstSolve:
                 steps = []
                 continue
             if length < 1:
-                points, steps = [], []
+                points = []
+                steps = []
             else:
                 points = [*points, U.ravel()][-MEMORY:]
                 steps = [*steps, d.ravel()][-MEMORY:]

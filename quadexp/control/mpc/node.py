@@ -34,7 +34,8 @@ from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.physics.vehicle import Vehicle
 
 N_PLACE = 3  # first states, the position
-LENGTH_MIN, LENGTH_MAX = 0.5, 2.0  # limits of a quaternion's length at a shooting node
+LENGTH_MIN = 0.5  # of a quaternion at a shooting node
+LENGTH_MAX = 2.0
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from quadexp.control.control_step import Call, ControlStep, InputArrays, call, c
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.dead_time import MotorLead
 from quadexp.control.wrapped import parameters_of
-from quadexp.parts.sensor_spec import SensorSpec, later_speeds
+from quadexp.parts.sensor_spec import SensorSpec
 from quadexp.physics.expression import limited, named_function, named_symbols, split
 from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.plugins.auto.ahead import CommandsAhead, prediction_numbers, sent_commands, span_weights
@@ -24,7 +24,7 @@ from quadexp.plugins.auto.auto import Auto
 from quadexp.plugins.auto.decide import Decision, grids
 from quadexp.plugins.auto.disturbance import speeds_tell
 from quadexp.plugins.auto.settings import DECISION
-from quadexp.plugins.remedies.delay_line import DelayLine
+from quadexp.plugins.remedies.delay_line import DelayLine, later_speeds
 from quadexp.plugins.remedies.sent_commands import INSTANT
 
 

@@ -21,12 +21,13 @@ without an update; once there is one again, it lies on the line between its neig
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
 import numpy as np
 
-from quadexp.compile.memory import NEXT, NOW, Memory, Sums, connected, sizes_of
+from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, InputArrays, call, copy
@@ -40,6 +41,15 @@ from quadexp.plugins.auto.settings import BANK
 from quadexp.plugins.remedies.sent_commands import SETTLED
 
 GYROS, AXES = len(BANK.gyro_models), 3
+
+
+class Sums(Memory):
+    """Memory that is added to behind all that may be refused: what it is now is never gone back from."""
+
+    def __init__(self, owner: str, sizes: Mapping[str, int]) -> None:
+        super().__init__(owner, sizes)
+        self.of_next = self.of_now
+        self.pairs = []
 
 
 class Layout:

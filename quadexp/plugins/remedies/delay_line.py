@@ -15,7 +15,18 @@ from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, call
+from quadexp.parts.sensor_spec import SensorSpec
 from quadexp.physics.expression import named_function, named_symbols
+
+
+def later_speeds(sheet: SensorSpec) -> float:
+    """By how much rotor speeds are older than the body rates (s), as far as it is stated."""
+    speeds = sheet.rotor_speed
+    gyroscope = sheet.gyroscope
+    if speeds is None:
+        return 0.0
+    rates = 0.0 if gyroscope is None else gyroscope.delay or 0.0
+    return max((speeds.delay or 0.0) - rates, 0.0)
 
 
 def kept_size(size: int, age: float, period: float) -> int:

@@ -29,14 +29,13 @@ from quadexp.control.layer import Layer, LayerPart
 from quadexp.control.wrapped import layers
 from quadexp.errors import UsageError
 from quadexp.models.build_context import BuildContext
-from quadexp.parts.sensor_spec import later_speeds
 from quadexp.parts.settings import Backend, key, keyed
 from quadexp.physics.expression import Expression, named_function, named_symbols
 from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.laws.allocation import allocation
 from quadexp.plugins.laws.dfbc import TILT_FIRST, WRENCH_WEIGHT, Wrench
-from quadexp.plugins.remedies.delay_line import delayed, kept_size
+from quadexp.plugins.remedies.delay_line import delayed, kept_size, later_speeds
 
 NEWTON_STEPS = 5  # of (35) with I_p, from the filtered speeds; quadratic convergence
 
