@@ -92,7 +92,7 @@ class Auto(WrappedController):
         self._has_drag = bandwidth >= DISTURBANCE.least_drag_bandwidth and not self._by_speeds
         of = sources(vehicle, sensor_spec, slope * self._has_drag, by_speeds=self._by_speeds)
         self._memory = Memory("Auto", KEPT)
-        now, flags = self._memory.of_now, ("searches", "refines")
+        now, flags = self._memory.of_now, ("searches", "rounds")
         told = {name: self._bank.part(name) for name in ("lateral", "noise")}
         told |= {"timing": now["decision"][-1:], "apart": now["apart"]}
         self._filter = DisturbanceFilter(vehicle, air, theta, period, wrapped.backend, of, told)
@@ -106,7 +106,7 @@ class Auto(WrappedController):
         form = vehicle, period, self._bank.period, lately.size, apart
         function = cached_function(wrapped.backend, decision_function, *form, unsaid=unsaid)
         places = {name: self._bank.memory.of_next[name] for name in ("count", "weights", "noise")}
-        places |= {"commands": lately, "acts": self._filter.acts, "centre": self._search.left["mode"]}
+        places |= {"commands": lately, "acts": self._filter.acts}
         places |= self._search.found | {name: self._search.left[name] for name in ("rates", "odds", "at_end")}
         self._decide = connected(function, places, {}, self._memory)
         self._newer, self._judged, self._begin = np.zeros(1), False, NOTHING

@@ -12,8 +12,8 @@ typedef REAL real;
 typedef INTEGER integer;
 
 enum { LATE, PROMPT, BETWEEN };
-enum { GYRO, THRUST, VELOCITY, ATTITUDE, AGAINST, CENTRE, MODELS, WEIGHTS, LATERAL };
-enum { MODE, RATES, ALLOWED, CHOSEN, ODDS, AT_END, BEST, MEAN, DEVIATION, LOWER, UPPER, NEWER };
+enum { GYRO, THRUST, VELOCITY, ATTITUDE, AGAINST, CENTRE, MODELS, WEIGHTS, LATERAL, ROUNDS };
+enum { MODE, RATES, ALLOWED, CHOSEN, ODDS, AT_END, MOVED, BEST, MEAN, DEVIATION, LOWER, UPPER, NEWER };
 enum { A, D, L, R, BIAS = 3, COLUMNS = 1 + READINGS + BIAS, BLOCK = COMMANDS + 3, MEANS = 3 };
 
 typedef struct { /* low, high: between them hypotheses count. times: of a - r + D */
@@ -224,14 +224,14 @@ static void summary(real **res, int of, const real *share, const grid *g, real b
 static const real NOISES[] = VELOCITY_NOISES;
 static const real STEPS[] = {STEP_A, STEP_D, STEP_L, STEP_A}, LARGEST[] = {LARGEST_A, LARGEST_D, LARGEST_L, LARGEST_A};
 
-static void posterior(const real **arg, real **res, int fine) {
+static void posterior(const real **arg, const real *centre, real **res, int fine) {
     const real *against = arg[AGAINST];
     const int whole = fine == 1;
     grid g;
     for (int i = 0; i < 4; i++) {
         const real reach = whole ? LARGEST[i] : STEPS[i];
         g.step[i] = STEPS[i] / fine, g.size[i] = (int)floor((whole ? reach : 2 * reach) / g.step[i] + (real)1.5);
-        g.low[i] = larger(arg[CENTRE][i] - reach, 0), g.high[i] = smaller(arg[CENTRE][i] + reach, LARGEST[i]);
+        g.low[i] = larger(centre[i] - reach, 0), g.high[i] = smaller(centre[i] + reach, LARGEST[i]);
     }
     const int n_a = g.size[A], n_D = g.size[D], n_l = g.size[L], n_r = g.size[R], olds = whole ? n_a : n_a + n_r - 1;
     const int times = olds + n_D - 1;
@@ -328,7 +328,10 @@ static void posterior(const real **arg, real **res, int fine) {
     *res[RATES] = rates, res[CHOSEN][0] = models[0], res[CHOSEN][1] = models[1];
     for (int i = 0; i < 3; i++) res[ALLOWED][i] = i == rates ? against[i] : NEVER;
     res[ODDS][0] = best - ageless, res[ODDS][1] = best - prompt;
+    *res[MOVED] = 0;
     if (whole) return;
+    for (int i = 0; i < 4; i++)
+        if (fabs(res[MODE][i] - centre[i]) >= STEPS[i] - INSTANT) *res[MOVED] = 1;
     *res[BEST] = best;
 
     real of_each[SIDES] = {0}, shares[3][SIDE] = {{0}};
@@ -360,12 +363,18 @@ static void posterior(const real **arg, real **res, int fine) {
 
 int coarse(const real **arg, real **res, integer *iw, real *w, int memory) {
     (void)iw, (void)w, (void)memory;
-    posterior(arg, res, 1);
+    posterior(arg, arg[CENTRE], res, 1);
     return 0;
 }
 
 int fine(const real **arg, real **res, integer *iw, real *w, int memory) {
     (void)iw, (void)w, (void)memory;
-    posterior(arg, res, FINE);
+    real centre[4];
+    for (int i = 0; i < 4; i++) centre[i] = arg[CENTRE][i];
+    for (int k = 0; k == 0 || (k < *arg[ROUNDS] && *res[MOVED]); k++) {
+        if (k)
+            for (int i = 0; i < 4; i++) centre[i] = res[MODE][i];
+        posterior(arg, centre, res, FINE);
+    }
     return 0;
 }

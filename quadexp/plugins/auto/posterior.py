@@ -54,7 +54,7 @@ class BankSettings(NamedTuple):
 
 class Search:
     """Operations that look for the posterior of what a bank has seen so far: the coarse grid where flags["searches"],
-    and a finer one around its mode, or that of the last finer one, where flags["refines"]. against: odds against rates.
+    and at most flags["rounds"] finer ones, around its mode, or that of the last finer one. against: odds against rates.
 
     memory: what they leave, by name, which the next instants read.
     """
@@ -66,18 +66,19 @@ class Search:
         self.coarse = grid_posterior(backend, bank_settings, 1, known | {"against": against})
         self.left = dict(self.coarse.results)
         handed = {"centre": self.left["mode"], "models": self.left["chosen"], "against": self.left["allowed"]}
+        handed["rounds"] = flags["rounds"]
         self.fine = grid_posterior(backend, bank_settings, BANK.fine, known | handed)
-        self.found = {name: self.fine.results[name] for name in ("mode", *FOUND)}
+        self.found = {name: self.fine.results[name] for name in ("mode", "moved", *FOUND)}
         found = {f"fine_{name}": values for name, values in self.found.items()}
         self.memory = Memory("Search", worked=self.left | found)
 
     def calls(self) -> list[Call]:
         """What is to be done at an instant."""
-        return [call(self.coarse, self._flags["searches"]), call(self.fine, self._flags["refines"])]
+        return [call(self.coarse, self._flags["searches"]), call(self.fine, self._flags["rounds"])]
 
     def moved(self) -> Call:
         """The finer grid goes on from its own mode."""
-        return copy(self.left["mode"], self.found["mode"], self._flags["refines"])
+        return copy(self.left["mode"], self.found["mode"], self._flags["rounds"])
 
 
 def grid_posterior(
@@ -86,7 +87,20 @@ def grid_posterior(
     """See grid_function: in C, or as equations in the virtual machine of CasADi."""
     if backend == "compiled":
         return Kernel(bank_settings, fine, shared)
-    return BufferedFunction(cached_function(backend, grid_function, bank_settings, fine), shared)
+    return Rounds(cached_function(backend, grid_function, bank_settings, fine), shared)
+
+
+class Rounds(BufferedFunction):
+    """A posterior of `grid_function` as equations, once more from its own mode while that is on the edge."""
+
+    def __call__(self) -> None:
+        centre = self.arguments["centre"].copy()
+        for _ in range(max(1, int(self.arguments["rounds"][0]))):
+            self._trigger()
+            if not self.results["moved"]:
+                break
+            self.arguments["centre"][...] = self.results["mode"]
+        self.arguments["centre"][...] = centre
 
 
 class Kernel(BufferedFunction):
@@ -153,7 +167,8 @@ def grid_function(bank_settings: BankSettings, fine: int) -> ca.Function:
     (a, D, l, r).
 
     against: log odds against rates LATE, PROMPT, BETWEEN. models: of the noise of gyroscope and velocity, of a finer
-    grid. Leaves the mode, its rates, and odds that allow these alone; the likeliest noise models; log Bayes factors
+    grid. rounds: of a finer grid at most, each around the mode of the last while that is on its edge, or `moved`; see
+    Rounds. Leaves the mode, its rates, and odds that allow these alone; the likeliest noise models; log Bayes factors
     against no age and no total; whether the mode is the last that there is (a, D, l); of a finer grid FOUND.
     """
     layout, steps, whole = Layout(bank_settings.period), STEPS / fine, fine == 1
@@ -162,7 +177,7 @@ def grid_function(bank_settings: BankSettings, fine: int) -> ca.Function:
     commands, both, noises = layout.commands + 3, 2 * layout.columns, ca.DM(BANK.velocity_models)
     shapes: dict[str, Any] = {"gyro": (commands, GYROS * commands), "thrust": (commands, commands)}
     shapes |= {"velocity": (both, noises.numel() * both), "attitude": (both, both)}
-    shapes |= {"against": 3, "centre": 4, "models": 2, "weights": 3, "lateral": 1}
+    shapes |= {"against": 3, "centre": 4, "models": 2, "weights": 3, "lateral": 1, "rounds": 1}
     a = named_symbols(ca.MX, shapes)
 
     def models(name: str, size: int, model: Any) -> list[Any]:
@@ -232,12 +247,13 @@ def grid_function(bank_settings: BankSettings, fine: int) -> ca.Function:
     row, row_of_total = ca.fmod(at, n_a), ca.fmod(at_total, n_D)
     place = ca.vertcat(row, row_of_total, (at_total - row_of_total) / n_D, (at - row) / n_a)
     mode = low + steps * place
+    moved = ca.mmax(ca.fabs(mode - a["centre"]) >= STEPS - INSTANT) * (not whole)
     of_mode = rates_of(mode[0], mode[3])
     results = {
         "mode": mode, "rates": of_mode, "allowed": ca.if_else(ca.DM(range(3)) == of_mode, a["against"], NEVER),
         "chosen": ca.vertcat(gyro_model, velocity_model),
         "odds": ca.vertcat(best - ca.mmax(log[0, :]), best - ca.mmax(without_total)),
-        "at_end": mode[:3] > LARGEST[:3] - INSTANT,
+        "at_end": mode[:3] > LARGEST[:3] - INSTANT, "moved": moved,
     }  # fmt: skip
     if whole:
         return named_function("coarse", a, {name: ca.densify(value) for name, value in results.items()})

@@ -14,7 +14,7 @@ from quadexp.control.delivered import SentCommands
 from quadexp.models.residual import no_residual
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.plugins.auto.bank import Bank, first_order_gain, stationary_gain
-from quadexp.plugins.auto.posterior import BETWEEN, FOUND, NEVER, STEPS, Search
+from quadexp.plugins.auto.posterior import BETWEEN, FOUND, NEVER, Search
 from quadexp.plugins.auto.responses import command_weights, reading_weights, tails
 from quadexp.plugins.auto.settings import BANK
 
@@ -41,18 +41,17 @@ class Posterior(NamedTuple):
     at_end: bool
 
 
-def posterior(bank, backend="interpreted"):
-    """As the instants of a flight look for it: see decide.py."""
+def posterior(bank, backend="interpreted", rounds=1):
+    """As the instants of a flight look for it, see decide.py; rounds: finer grids in an instant."""
     odds, found = None, []
     for against in BANK.rates_odds, (*BANK.rates_odds[:2], NEVER):
-        search = Search(bank, backend, {"searches": np.ones(1), "refines": np.ones(1)}, np.array(against))
+        search = Search(bank, backend, {"searches": np.ones(1), "rounds": np.full(1, float(rounds))}, np.array(against))
         search.coarse()
         odds = odds or [search.left[name].copy() for name in ("odds", "at_end")]
-        for _ in range(BANK.passes):
-            centre = search.left["mode"].copy()
+        for _ in range(BANK.passes // rounds):
             search.fine()
             run([search.moved()])
-            if (np.abs(search.found["mode"] - centre) < STEPS - 1e-9).all():
+            if not search.found["moved"]:
                 break
         found.append([search.found[name].copy() for name in FOUND])
         if search.left["rates"] != BETWEEN:
@@ -262,8 +261,10 @@ def test_a_posterior_is_a_pure_function_of_the_moments(vehicle):
 
 def test_a_posterior_in_c_is_that_of_the_virtual_machine(vehicle):
     bank = flown(vehicle, age=0.012, dead_time=0.01, lag=0.02, steps=100)
-    for one, two in zip(posterior(bank), posterior(bank, "compiled"), strict=True):
-        assert two == pytest.approx(one, rel=1e-9)
+    for rounds in (1, BANK.passes):
+        for one, two in zip(posterior(bank), posterior(bank, "compiled", rounds), strict=True):
+            assert two == pytest.approx(one, rel=1e-9)
+    assert all(np.array_equal(one, two) for one, two in zip(posterior(bank), posterior(bank, rounds=4), strict=True))
 
 
 @pytest.mark.parametrize("age", [0.0, 0.004, 0.013, 0.02])
