@@ -1,5 +1,5 @@
-/* The posterior of posterior.py in C, on the arguments and results of its functions, coarse and fine. Freestanding C11:
-   no allocation, of libraries only math.h. Before it stand the settings, see `kernel` there. */
+/* The posterior of posterior.py in C, on the same arguments and results, coarse and fine. Freestanding C11:
+   no allocation, of libraries only math.h. Before it stand the settings, see `kernel_source` there. */
 #include <math.h>
 
 #ifndef REAL
@@ -13,7 +13,7 @@ typedef INTEGER integer;
 
 enum { LATE, PROMPT, BETWEEN };
 enum { GYRO, THRUST, VELOCITY, ATTITUDE, AGAINST, CENTRE, MODELS, WEIGHTS, LATERAL, ROUNDS };
-enum { MODE, RATES, ALLOWED, CHOSEN, ODDS, AT_END, MOVED, BEST, MEAN, DEVIATION, LOWER, UPPER, NEWER };
+enum { MODE, RATES, ALLOWED, CHOSEN, ODDS, AT_END, MOVED, MEAN, DEVIATION, LOWER, UPPER, NEWER, BEST };
 enum { A, D, L, R, BIAS = 3, COLUMNS = 1 + READINGS + BIAS, BLOCK = COMMANDS + 3, MEANS = 3 };
 
 typedef struct { /* low, high: between them hypotheses count. times: of a - r + D */
@@ -87,7 +87,7 @@ static real information(real product, real square) {
     return smaller(larger((1 - rho) / (1 + rho), LEAST_INFORMATION), MOST_INFORMATION);
 }
 
-/* posterior.py: commands_function. Leaves the mean squared innovation of each hypothesis, and what the logarithm of one is
+/* posterior.py: _by_commands. Leaves the mean squared innovation of each hypothesis, and what the logarithm of one is
    worth; returns the largest log likelihood. */
 static real by_commands(
     real *restrict sse, real *worth, const head *heads, const real *M, const channel *c, const grid *g) {
@@ -136,7 +136,7 @@ static real gain_of(real ratio) {
     return variance / (variance + 1);
 }
 
-/* posterior.py: readings_function */
+/* posterior.py: _by_readings */
 static void by_readings(
     real *log_p, const real *M, const grid *g, int of, real span, real numbers, real prior, real reading, real noise) {
     const real kept = 1 - gain_of(reading / noise), white = reading * reading / (1 - kept * kept);
@@ -222,7 +222,7 @@ static void summary(real **res, int of, const real *share, const grid *g, real b
 }
 
 static const real NOISES[] = VELOCITY_NOISES;
-static const real STEPS[] = {STEP_A, STEP_D, STEP_L, STEP_A}, LARGEST[] = {LARGEST_A, LARGEST_D, LARGEST_L, LARGEST_A};
+static const real STEPS[] = {AGE_STEP, TOTAL_STEP, LAG_STEP, AGE_STEP}, LARGEST[] = {LARGEST_AGE, (LARGEST_DEAD_TIME + LARGEST_LAG), LARGEST_LAG, LARGEST_AGE};
 
 static void posterior(const real **arg, const real *centre, real **res, int fine) {
     const real *against = arg[AGAINST];
@@ -256,8 +256,8 @@ static void posterior(const real **arg, const real *centre, real **res, int fine
     (void)by_commands(of_total, &worth, heads, arg[THRUST], &thrust, &g);
     logarithms(of_total, heads, worth, n_D * n_l);
     for (int k = 0; k < n_D * n_l; k++) {
-        const real total = at(&g, D, k % n_D), ways = smaller(total, LARGEST_L) - larger(total - LARGEST_DEAD_TIME, 0);
-        if (heads[k].possible) of_total[k] += -total / MEAN_DELAY - log(larger(ways, 0) + STEP_L);
+        const real total = at(&g, D, k % n_D), ways = smaller(total, LARGEST_LAG) - larger(total - LARGEST_DEAD_TIME, 0);
+        if (heads[k].possible) of_total[k] += -total / MEAN_DELAY - log(larger(ways, 0) + LAG_STEP);
     }
     const channel gyro = {first + g.low[D], g.step[A], SPAN_RATE / 2, PERIOD, INERTIA_DEVIATION, 2 * seen, times};
     for (int l = 0; l < n_l; l++)
@@ -266,7 +266,7 @@ static void posterior(const real **arg, const real *centre, real **res, int fine
             head *one = heads + times * l + k;
             const real wait = time - at(&g, L, l);
             one->possible = time < latest + INSTANT && inside(&g, L, l);
-            one->possible &= wait > -INSTANT && wait < LARGEST_DEAD_TIME + LARGEST_A + INSTANT;
+            one->possible &= wait > -INSTANT && wait < LARGEST_DEAD_TIME + LARGEST_AGE + INSTANT;
             if (one->possible) lead_in(one, time + gyro.shift, at(&g, L, l), PERIOD, falls[l]);
         }
     int models[2] = {0, 0};
@@ -311,7 +311,7 @@ static void posterior(const real **arg, const real *centre, real **res, int fine
             const real age = at(&g, A, a), by = at(&g, R, r);
             const int rates = rates_of(age, by), old = (int)floor((larger(age - by, 0) - first) / g.step[A] + (real)0.5);
             int counts = inside(&g, A, a) && inside(&g, R, r) && age - by > -INSTANT;
-            counts &= rates != BETWEEN || by > STEP_A - INSTANT; /* less is how rates go between readings */
+            counts &= rates != BETWEEN || by > AGE_STEP - INSTANT; /* less is how rates go between readings */
             p[r][a] = -NEVER, old_of[r][a] = old < 0 ? 0 : old < olds ? old : olds - 1;
             if (counts) {
                 const real alone = of_age[a] - age / MEAN_DELAY + of_newer[r] - against[rates];
@@ -356,7 +356,7 @@ static void posterior(const real **arg, const real *centre, real **res, int fine
         for (int k = 0; k < n_D; k++) shares[D][k] += of_each[i] * by_total[i][k];
         for (int k = 0; k < n_l; k++) shares[L][k] += of_each[i] * by_lag[i][k];
     }
-    const real beside[] = {STEP_A / fine, STEP_L / fine, STEP_L / fine};
+    const real beside[] = {AGE_STEP / fine, LAG_STEP / fine, LAG_STEP / fine};
     for (int i = 0; i < 3; i++) summary(res, i, shares[i], &g, beside[i]);
     *res[NEWER] = rates == PROMPT ? res[MEAN][A] : res[MODE][R];
 }
