@@ -166,7 +166,7 @@ def decision_function(
     acts = Decision(*ca.vertsplit(decision))
     crossed = ca.if_else(ca.mmax(differs) > 0, UNKNOWN, crossed)  # the next one goes on from this one
 
-    # what is said of it: beside the posterior's quantiles what the model of all hypotheses leaves out
+    # intervals: the posterior's quantiles, and beside them what the model of all hypotheses leaves out
     age, _, lag = ca.vertsplit(of["mean"])
     untold = ca.hypot(apart, ca.hypot(unsaid * age / INTERVAL.band, INTERVAL.unlike * lag))
     unsure = ca.if_else(done, untold, kept["unsure"])
