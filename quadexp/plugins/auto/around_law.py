@@ -41,7 +41,6 @@ from quadexp.plugins.auto.decide import Decision
 from quadexp.plugins.auto.settings import BANK, PATH
 
 DERIVATIVES = 5  # of the path: position .. snap
-OF_LAW = "ahead_dt", "ahead_weights", "ahead_moves", "ahead", "at", "jump_rows"
 LONGEST = BANK.largest_dead_time + BANK.largest_lag  # s, that a law is given ahead
 
 
@@ -89,8 +88,8 @@ def law_form(
     ahead = dead_time + lag
     first = ca.floor(ahead / spacing + 0.5)
     looks = first + round(PATH.looks / spacing)
-    numbers = prediction_numbers(span_weights(count, period), parts, 0, ahead, dead_time, lag)
-    rest = dict(zip(OF_LAW, [*numbers, ahead, looks * spacing, looks + PATH.samples * ca.DM(range(3))], strict=True))
+    rest = prediction_numbers("ahead", span_weights(count, period), parts, (0, ahead), dead_time, lag)
+    rest |= {"ahead": ahead, "at": looks * spacing, "jump_rows": looks + PATH.samples * ca.DM(range(3))}
     return {}, (dead_time, lag), first + ca.DM(np.round(np.array(nodes) / spacing)), rest
 
 
@@ -110,8 +109,7 @@ class Sooner(WrappedController):
         self._later = cached_function(core.backend, later, core.vehicle, core.control_period)
         self.memory, self.believed = Memory("Sooner", sizes_of([self._later])), Memory("Believed", worked=world)
         self._tuned = {"ahead": np.zeros(1), "at": np.zeros(1)}
-        told = [*self._ahead.tuned, *self._tuned.values(), self._rows]
-        self.tuned = dict(zip(OF_LAW, told, strict=True))
+        self.tuned = self._ahead.tuned("ahead") | self._tuned | {"jump_rows": self._rows}
         self._world = BufferedFunction(cached_function(core.backend, world_of, core.vehicle), into=world)
 
     def reset(self, x: np.ndarray, window: Window) -> None:
@@ -126,10 +124,6 @@ class Sooner(WrappedController):
         wrapped: Any = self.wrapped
         numbers: np.ndarray = wrapped.believed_numbers
         return numbers
-
-    def believe(self, belief: Any) -> None:
-        """See control.base.Belief."""
-        self.believed_numbers[:] = np.hstack([*belief])
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step."""

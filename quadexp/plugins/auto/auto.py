@@ -67,13 +67,8 @@ class Auto(WrappedController):
         commands: SentCommands,
     ) -> None:  # fmt: skip
         super().__init__(wrapped)
-        self._core, self._sheet, self._commands, vehicle, period = (
-            core,
-            sensor_spec,
-            commands,
-            wrapped.vehicle,
-            self.control_period,
-        )
+        self._core, self._sheet, self._commands = core, sensor_spec, commands
+        vehicle, period = wrapped.vehicle, self.control_period
         self._to_now = Ahead(vehicle, residual, wrapped.backend, commands, believed)
         self._late = np.zeros(1)
         part, about = TunedStrapdown(time=BANK.largest_age), Circumstances(period)
@@ -118,8 +113,8 @@ class Auto(WrappedController):
     def _plans(self, places: dict[str, np.ndarray], tuned: dict[str, np.ndarray], form: Any, *about: Any) -> None:
         """How it plans with a decision, see plan_function: what that reads beside the decision, and the arrays that it
         writes."""
-        common = [*self._to_now.tuned, self._late, self._newer, self._delivered.tuned, self._rows]
-        tuned = dict(zip(COMMON, common, strict=True)) | tuned
+        common = {"late": self._late, "newer": self._newer, "delivered": self._delivered.tuned, "rows": self._rows}
+        tuned = self._to_now.tuned("late") | common | tuned
         period, count, parts = self.control_period, len(self._commands.values), self._to_now.parts
         function = cached_function(self.backend, plan_function, form, period, count, parts, *about)
         self._tune = BufferedFunction(function, places | {"decision": self._memory.of_next["decision"]}, tuned)
@@ -139,11 +134,10 @@ class Auto(WrappedController):
         rows = self._rows.astype(int)
         inside = window._replace(state=window.state[rows], input=window.input[rows[:-1]])
         super().reset(x, inside)
-        thrust = thrust_at_start(inside, self.vehicle)
-        self._strapdown.reset(x, inside)
-        self._commands.reset(thrust)
-        self._bank.reset(x, thrust)
-        self._filter.reset(x)
+        for memory, values in self.starts(x, thrust_at_start(inside, self.vehicle)):
+            memory.begin(values)
+        self._bank.sums.begin({})
+        self._filter.assume_nothing()
 
     @contextmanager
     def settled(self, age: float, dead_time: float, lag: float) -> Iterator[None]:
@@ -172,7 +166,7 @@ class Auto(WrappedController):
         return [
             (self._strapdown.memory, strapdown), (self._filter.memory, self._filter.start(x)),
             (self._commands.memory, {"commands": sent}), (self._bank.memory, self._bank.start(x, thrust)),
-            (self._memory, start_of(NOTHING)), (self._plan, plan),
+            (self._memory, start_of(self._begin)), (self._plan, plan),
         ]  # fmt: skip
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
@@ -226,17 +220,14 @@ class Auto(WrappedController):
         return {**self.wrapped.log(), **believed, **dict(zip(COLUMNS, map(float, own), strict=True))}
 
 
-COMMON = "late_dt", "late_weights", "late_moves", "late", "newer", "delivered", "rows"  # of what any of them tunes
-
-
 def plan_function(form: Any, period: float, count: int, parts: int, *about: Any) -> ca.Function:
-    """What is tuned by a decision, (6,): COMMON, and what `form` makes of it and of `about`: further symbols, dead time
-    and lag of the thrusts (s), rows of the reference, and the rest by name."""
+    """What is tuned by a decision, (6,), see Auto._plans, and what `form` makes of it and of `about`: further symbols,
+    dead time and lag of the thrusts (s), rows of the reference, and the rest by name."""
     decision, weights = ca.MX.sym("decision", 6), span_weights(count, period)
     acts = Decision(*ca.vertsplit(decision))
     symbols, (dead_time, lag), rows, rest = form(acts, period, *about)
-    late = prediction_numbers(weights, parts, acts.newer - acts.age, 0, acts.dead_time, acts.lag)
+    late = prediction_numbers("late", weights, parts, (acts.newer - acts.age, 0), acts.dead_time, acts.lag)
     now = [weights(ca.vertcat(begin, 0, dead_time, lag)) for begin in (0, -period)]
-    common = [*late, acts.newer, acts.newer > 0, ca.horzcat(*now), rows]
-    results = dict(zip(COMMON, common, strict=True)) | rest
+    common = {"late": acts.newer, "newer": acts.newer > 0, "delivered": ca.horzcat(*now), "rows": rows}
+    results = late | common | rest
     return named_function("plan", {"decision": decision} | symbols, {k: ca.densify(v) for k, v in results.items()})

@@ -61,7 +61,7 @@ class Layout:
 
 
 class Bank:
-    """The sums of a flight; `reset` begins one, and its calls stand `after` the controller's.
+    """The sums of a flight; `start` begins one, and its calls stand `after` the controller's.
 
     theta: parameters of the residual, shared. noise: stated, of a reading of accelerometer (m/s^2), gyroscope (rad/s)
     and attitude (rad). spans: over which readings of accelerometer and gyroscope are means (s).
@@ -94,16 +94,6 @@ class Bank:
         """What the memory has under a name."""
         return self.memory.of_now[name]
 
-    @property
-    def elapsed(self) -> float:
-        """Time with evidence (s)."""
-        return max(float(self.part("count")[0]) * self.period - BANK.settling, 0.0)
-
-    @property
-    def lateral_noise(self) -> float:
-        """Standard deviation of a reading across the thrust (m/s^2), within what a data sheet may be wrong by."""
-        return math.sqrt(self.part("lateral")[0])
-
     def start(self, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
         """What is remembered in the state x, (13,), where this command, (n,) (N), has been sent for a long time."""
         specific, layout, kind = thrust.sum() / self.vehicle.mass, self.layout, x.dtype
@@ -115,11 +105,6 @@ class Bank:
         start = {"x": x, "lateral": np.full(1, self.stated**2), "filters": filters, "velocity": velocity}
         start |= {"forces": np.tile([0.0, 0.0, specific], layout.readings), "rates": np.tile(x[RATE], layout.readings)}
         return start | {"sent": self.every * thrust}
-
-    def reset(self, x: np.ndarray, thrust: np.ndarray) -> None:
-        """Begin a flight, see `start`."""
-        self.memory.begin(self.start(x, thrust))
-        self.sums.begin({})
 
     def after(self, inputs: InputArrays, state: np.ndarray, command: np.ndarray) -> list[Call]:
         """Takes in what is given, the state that is found there, (13,), and then the command, (n,) (N)."""

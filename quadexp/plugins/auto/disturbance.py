@@ -93,7 +93,7 @@ def sources(vehicle: Vehicle, sensor_spec: SensorSpec, slope: float, *, by_speed
 
 
 class DisturbanceFilter:
-    """Its calls stand `before` the controller's; `reset` begins a flight.
+    """Its calls stand `before` the controller's; `start` begins a flight.
 
     belief: (11,), see control.base.Belief. deviations: see DEVIATIONS. acts: (3,), whether a disturbance across the
     thrust, one along it, and a torque are assumed. given: arrays of the uncertainty of the commands' delay, timing, by
@@ -114,10 +114,9 @@ class DisturbanceFilter:
         self.belief, self.deviations = np.zeros(N_BELIEF), np.zeros(len(DEVIATIONS))
         self.acts = self.memory.of_now["acts"]
 
-    def reset(self, x: np.ndarray) -> None:
-        """Begin a flight in the state x, (13,): nothing is assumed."""
+    def assume_nothing(self) -> None:
+        """As a flight begins."""
         self.belief[...], self.deviations[...] = np.hstack([*no_belief()]), np.nan
-        self.memory.begin(self.start(x))
 
     def start(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """What is remembered as a flight begins in the state x, (13,)."""

@@ -101,7 +101,7 @@ def flown(
         rates, force = (np.apply_along_axis(np.convolve, 0, y, np.ones(of) / of)[:total] for y in (rates, force))
     x = np.zeros(13)
     x[3] = 1.0
-    bank.reset(x, command)
+    bank.memory.begin(bank.start(x, command))
     calls, error = bank.after(told, told.state, command), np.zeros(2)
     told.state[:] = x
     for k in range(steps):
@@ -125,7 +125,7 @@ def test_commands_that_do_not_change_say_nothing_of_their_delays(vehicle):
     """At hover: what nothing moves has no likeliest scale, and that made all delays not a number."""
     rng, bank, told = np.random.default_rng(0), bank_of(vehicle), InputArrays(vehicle.n_rotors)
     hover = np.full(vehicle.n_rotors, vehicle.hover_thrust)
-    bank.reset(np.eye(13)[3], hover)
+    bank.memory.begin(bank.start(np.eye(13)[3], hover))
     calls, told.accelerometer_valid[0] = bank.after(told, told.state, hover), 1.0
     for k in range(40):
         told.state[:] = np.eye(13)[3]
@@ -143,7 +143,7 @@ def test_commands_that_do_not_change_say_nothing_of_their_delays(vehicle):
 def test_moments_of_a_flight_that_has_hardly_begun_have_a_posterior(vehicle):
     """All of them zero: a matrix that was inverted was singular."""
     bank = bank_of(vehicle)
-    bank.reset(np.eye(13)[3], np.full(vehicle.n_rotors, vehicle.hover_thrust))
+    bank.memory.begin(bank.start(np.eye(13)[3], np.full(vehicle.n_rotors, vehicle.hover_thrust)))
     assert np.isfinite(posterior(bank).mean).all()
 
 
@@ -161,7 +161,7 @@ def test_the_moments_are_those_of_a_kalman_filter_of_each_hypothesis(vehicle):
     """Of one hypothesis at a time, the filter written out, its gains those of a stationary one."""
     bank, rng, n = bank_of(vehicle), np.random.default_rng(3), vehicle.n_rotors
     told, command, x = InputArrays(n), np.full(n, vehicle.hover_thrust), np.eye(13)[3]
-    bank.reset(x, command)
+    bank.memory.begin(bank.start(x, command))
     calls, sent = bank.after(told, told.state, command), SentCommands(n, PERIOD, 0.6)
     sent.reset(command)
     age, dead_time, lag = 0.013, 0.007, 0.021
@@ -293,7 +293,7 @@ def test_attitudes_tell_their_age_against_rates(vehicle, age, of_rates):
     for rate in turns[1:]:
         attitudes.append(attitudes[-1] * Rotation.from_rotvec(fine * rate))
     told, command, x = InputArrays(vehicle.n_rotors), np.full(vehicle.n_rotors, vehicle.hover_thrust), np.eye(13)[3]
-    bank.reset(x, command)
+    bank.memory.begin(bank.start(x, command))
     calls, told.accelerometer_valid[0] = bank.after(told, told.state, command), 1.0
     for k, now in enumerate(range(0, len(t), round(bank.period / fine))):
         attitude = attitudes[max(now - round(age / fine), 0)] * Rotation.from_rotvec(noise[1] * rng.normal(size=3))
