@@ -64,9 +64,14 @@ class Ahead:
     """
 
     def __init__(
-        self, vehicle: Vehicle, residual: Residual, backend: str, commands: SentCommands,
-        shared: Mapping[str, np.ndarray], longest: float = BANK.largest_age,
-    ) -> None:  # fmt: skip
+        self,
+        vehicle: Vehicle,
+        residual: Residual,
+        backend: str,
+        commands: SentCommands,
+        shared: Mapping[str, np.ndarray],
+        longest: float = BANK.largest_age,
+    ) -> None:
         self.parts = math.ceil(longest / STEP - 1e-9)
         function = cached_function(backend, prediction, vehicle, residual, self.parts, len(commands.values))
         self._predict = BufferedFunction(function, {"commands": commands.values, **shared})

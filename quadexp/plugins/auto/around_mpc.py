@@ -38,7 +38,7 @@ class AutoMPC(Auto):
         self._believed = Memory("Believed", worked=self._last)
         self._now = {"push": mpc.disturbance, "wind": numbers[6:9], "scale": numbers[9:10]}
         commands = sent_commands(core.vehicle, core.control_period)
-        super().__init__(core, core, sensor_spec, mpc.residual, {"theta": parameters_of(core), **self._last}, commands)
+        super().__init__(core, sensor_spec, mpc.residual, {"theta": parameters_of(core), **self._last}, commands)
         self._world, self._grids = core.believed, grids(core.settings)
         core.predictor, core.lead = CommandsAhead(mpc), MotorLead(mpc.limits, core.settings, core.backend)
         self._spacing = self.control_period / DECISION.samples
@@ -80,9 +80,7 @@ class AutoMPC(Auto):
     def _compared(self, inputs: InputArrays, now: np.ndarray) -> tuple[list[Call], dict[str, np.ndarray], np.ndarray]:
         """See Auto. Rotor speeds are compared with the state and reading of their time."""
         if not self._by_speeds:
-            thrust, mean = self._delivered.thrusts
-            known = {"x": now, "reading": inputs.specific_force, "thrust": thrust, "mean": mean}
-            return self._delivered.before(), known, inputs.accelerometer_valid
+            return super()._compared(inputs, now)
         seen, delay_line, thrust = np.zeros(N_STATE + 4), self._delay_line, np.zeros(self.vehicle.n_rotors)
         calls = [
             copy(seen[:N_STATE], now),

@@ -20,7 +20,7 @@ import numpy as np
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.memory import Memory, connected
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Controller, Window
+from quadexp.control.base import Window
 from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, ControlStep, InputArrays, call, control_step_of, copy, run
 from quadexp.control.delivered import SentCommands
@@ -45,8 +45,12 @@ from quadexp.plugins.remedies.observers.wind import WindObserver, wind_bandwidth
 QUANTITIES = "age", "delay", "lag"
 KNOWN = (
     *(f"{name}{of}" for of in ("", "_low", "_high") for name in QUANTITIES),
-    "rates_newer", "acts_age", "acts_dead_time", "acts_lag", "grid",
-)  # fmt: skip
+    "rates_newer",
+    "acts_age",
+    "acts_dead_time",
+    "acts_lag",
+    "grid",
+)
 ACTS = "acts_lateral", "acts_vertical", "acts_torque"
 COLUMNS = tuple(f"auto_{name}" for name in (*KNOWN, *ACTS, *DEVIATIONS))
 
@@ -54,32 +58,34 @@ COLUMNS = tuple(f"auto_{name}" for name in (*KNOWN, *ACTS, *DEVIATIONS))
 class Auto(WrappedController):
     """A controller that finds out in flight what makes its model wrong.
 
-    inner: the controller that it stands around. core: the MPC or law inside. sheet: of the sensors. residual: of the
-    prediction to now. assumed: arrays of the assumed world, for Ahead. commands: those that were sent.
-    A subclass says how it plans (`_plan`), and what delivered thrusts its filter compares (`_compared`).
+    core: the MPC or law that it stands around. residual: of the prediction to now.
+    believed: arrays of the assumed world, for Ahead. commands: those that were sent. A subclass says how it plans
+    (`_plans`), and may compare other thrusts than those that the commands give (`_compared`).
     """
 
     delay = 0.0  # of a flight that begins
 
     def __init__(
-        self, wrapped: Controller, core: Any, sensor_spec: SensorSpec, residual: Residual, believed: dict[str,
-        np.ndarray],
+        self,
+        core: Any,
+        sensor_spec: SensorSpec,
+        residual: Residual,
+        believed: dict[str, np.ndarray],
         commands: SentCommands,
-    ) -> None:  # fmt: skip
-        super().__init__(wrapped)
+    ) -> None:
+        super().__init__(core)
         self._core, self._sheet, self._commands = core, sensor_spec, commands
-        vehicle, period = wrapped.vehicle, self.control_period
-        self._to_now = Ahead(vehicle, residual, wrapped.backend, commands, believed)
+        vehicle, backend, period = core.vehicle, core.backend, self.control_period
+        self._to_now = Ahead(vehicle, residual, backend, commands, believed)
         self._late = np.zeros(1)
         part, about = TunedStrapdown(time=BANK.largest_age), Circumstances(period)
-        self._strapdown = Layer(wrapped, part, about, places={"late": self._late})
-        force, turn, attitude = (
-            Stated() if one is None else one
-            for one in (sensor_spec.accelerometer, sensor_spec.gyroscope, sensor_spec.attitude)
-        )
+        self._strapdown = Layer(core, part, about, places={"late": self._late})
+        force = sensor_spec.accelerometer or Stated()
+        turn = sensor_spec.gyroscope or Stated()
+        attitude = sensor_spec.attitude or Stated()
         air, theta = air_of(core), parameters_of(core)
         noise, spans = (force.noise, turn.noise, attitude.noise), (force.within(period), turn.within(period))
-        self._bank = Bank(vehicle, air, theta, period, wrapped.backend, noise, spans)
+        self._bank = Bank(vehicle, air, theta, period, backend, noise, spans)
         predictive, self.believes = isinstance(core, PredictiveController), hasattr(core, "believed_numbers")
         self._by_speeds, wind = predictive and speeds_tell(vehicle, sensor_spec), WindObserver()
         bandwidth = wind_bandwidth(vehicle, air, theta, wind, period) if predictive else 0.0
@@ -90,8 +96,8 @@ class Auto(WrappedController):
         now, flags = self._memory.of_now, ("searches", "rounds")
         told = {name: self._bank.part(name) for name in ("lateral", "noise")}
         told |= {"timing": now["decision"][-1:], "apart": now["apart"]}
-        self._filter = DisturbanceFilter(vehicle, air, theta, period, wrapped.backend, of, told)
-        self._search = Search(self._bank, wrapped.backend, {name: now[name] for name in flags}, now["against"])
+        self._filter = DisturbanceFilter(vehicle, air, theta, period, backend, of, told)
+        self._search = Search(self._bank, backend, {name: now[name] for name in flags}, now["against"])
         # By which age and delays cannot be distinguished: by readings that are old, or as old as nobody says, as far as
         # a data sheet may be wrong; and within a period of the bank a faster law answers to noise.
         apart = BANK.sheet_factor / INTERVAL.band * max(force.delay or 0.0, turn.delay or 0.0)
@@ -99,14 +105,13 @@ class Auto(WrappedController):
         unsaid = turn.delay is None and bool(attitude.delay)
         lately = commands.values[-max(2, round(DECISION.saturation_memory / period)) :].reshape(-1)
         form = vehicle, period, self._bank.period, lately.size, apart
-        function = cached_function(wrapped.backend, decision_function, *form, unsaid=unsaid)
+        function = cached_function(backend, decision_function, *form, unsaid=unsaid)
         places = {name: self._bank.memory.of_next[name] for name in ("count", "weights", "noise")}
-        places |= {"commands": lately, "acts": self._filter.acts}
-        places |= self._search.found | {name: self._search.left[name] for name in ("rates", "odds", "at_end")}
+        places |= {"commands": lately, "acts": self._filter.acts} | self._search.left | self._search.found
         self._decide = connected(function, places, {}, self._memory)
         self._newer, self._judged, self._begin = np.zeros(1), False, NOTHING
         self._rows = np.zeros(len(core.node_times))
-        self._delivered = Delivered(commands, wrapped.backend, 2)  # now, and over the last period
+        self._delivered = Delivered(commands, backend, 2)  # now, and over the last period
         self._tune: BufferedFunction
         self._plan: Memory
 
@@ -126,7 +131,13 @@ class Auto(WrappedController):
 
     def _compared(self, inputs: InputArrays, now: np.ndarray) -> tuple[list[Call], dict[str, np.ndarray], np.ndarray]:
         """What leaves state, reading, thrust and mean of one time, see DisturbanceFilter, and whether it was read."""
-        raise NotImplementedError
+        thrust, mean = self._delivered.thrusts
+        known = {"x": now, "reading": inputs.specific_force, "thrust": thrust, "mean": mean}
+        return self._delivered.before(), known, inputs.accelerometer_valid
+
+    def _planned(self, inputs: InputArrays, now: np.ndarray) -> ControlStep:
+        """What the controller inside does in the state of now, which is found there, (13,)."""
+        return control_step_of(self.wrapped, inputs, now)
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset: nothing is known."""
@@ -164,10 +175,13 @@ class Auto(WrappedController):
         self._anew()
         plan = {name: values.copy() for name, values in self._plan.of_now.items()}
         return [
-            (self._strapdown.memory, strapdown), (self._filter.memory, self._filter.start(x)),
-            (self._commands.memory, {"commands": sent}), (self._bank.memory, self._bank.start(x, thrust)),
-            (self._memory, start_of(self._begin)), (self._plan, plan),
-        ]  # fmt: skip
+            (self._strapdown.memory, strapdown),
+            (self._filter.memory, self._filter.start(x)),
+            (self._commands.memory, {"commands": sent}),
+            (self._bank.memory, self._bank.start(x, thrust)),
+            (self._memory, start_of(self._begin)),
+            (self._plan, plan),
+        ]
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step."""
@@ -180,8 +194,8 @@ class Auto(WrappedController):
         if self.believes and (self._by_speeds or not self._judged):  # a push alone is evidence of a push
             compared, of_one_time, read = self._compared(inputs, now)
             calls += [*compared, *self._filter.before(of_one_time, read)]
-            calls.append(copy(self._told_belief, belief))
-        step = control_step_of(self.wrapped, inputs, now)
+            calls.append(copy(self._core.believed_numbers, belief))
+        step = self._planned(inputs, now)
         after = [*self._bank.after(inputs, state, step.command), *self._commands.after(step.command)]
         beliefs = self._memory.of_now["beliefs"]
         logged = (*step.logged, belief, beliefs, self._filter.acts, self._filter.deviations)
@@ -195,23 +209,18 @@ class Auto(WrappedController):
         return step._replace(calls=[*calls, *step.calls, *after], logged=logged, memory=memory)
 
     @property
-    def _told_belief(self) -> np.ndarray:
-        """Where the wrapped controller is given a belief, (11,)."""
-        inner: Any = self.wrapped
-        numbers: np.ndarray = inner.believed_numbers
-        return numbers
-
-    @property
     def missing_inputs(self) -> list[str]:
         """What it lacks here, and what that leaves undone; a line each."""
-        missing = {
-            "no accelerometer: delays, wind and force are not found": not self._sheet.accelerometer,
-            "no speeds of rotors that tell thrusts: these follow from the commands": not self._by_speeds,
-            "a law that cannot be given a force or wind: only a late state is corrected": not self.believes,
-            "no drag in the model that shows a wind: it is a force": self.believes
-            and not (self._has_drag or self._by_speeds),
-        }
-        return [line for line, holds in missing.items() if holds]
+        missing = []
+        if not self._sheet.accelerometer:
+            missing.append("no accelerometer: delays, wind and force are not found")
+        if not self._by_speeds:
+            missing.append("no speeds of rotors that tell thrusts: these follow from the commands")
+        if not self.believes:
+            missing.append("a law that cannot be given a force or wind: only a late state is corrected")
+        elif not (self._has_drag or self._by_speeds):
+            missing.append("no drag in the model that shows a wind: it is a force")
+        return missing
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""

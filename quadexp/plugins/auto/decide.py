@@ -35,10 +35,25 @@ IDLE, FIRST, SECOND = range(3)  # searches for a posterior, the second without r
 BELIEFS = 10  # age, delay, lag, their lower and their upper ends; by how much rates are newer; behind them what acts
 OF_SEARCH = sum(FOUND.values())
 KEPT = {
-    "phase": 1, "passes": 1, "wait": 1, "saturates": 1, "next": 1, "crossed": 4, "known": 1, "searches": 1,
-    "rounds": 1, "against": 3, "candidate": OF_SEARCH, "found": OF_SEARCH, "odds": 2, "at_end": 3, "decision": 6,
-    "unsure": 1, "apart": 1, "beliefs": BELIEFS + 4,
-}  # fmt: skip
+    "phase": 1,
+    "passes": 1,
+    "wait": 1,
+    "saturates": 1,
+    "next": 1,
+    "crossed": 4,
+    "known": 1,
+    "searches": 1,
+    "rounds": 1,
+    "against": 3,
+    "candidate": OF_SEARCH,
+    "found": OF_SEARCH,
+    "odds": 2,
+    "at_end": 3,
+    "decision": 6,
+    "unsure": 1,
+    "apart": 1,
+    "beliefs": BELIEFS + 4,
+}
 
 
 class Decision(NamedTuple):
@@ -177,17 +192,25 @@ def decision_function(
     beliefs = ca.vertcat(of["mean"], lower, ca.if_else(at_end, math.inf, upper), of["newer"])
     beliefs = ca.if_else(done, beliefs, kept["beliefs"][:BELIEFS])
     left = {
-        "phase": now, "passes": ca.if_else(searches, 0, passes),
-        "wait": ca.if_else(looks, ca.if_else(soon, often, seldom), kept["wait"]) - 1, "saturates": saturates,
+        "phase": now,
+        "passes": ca.if_else(searches, 0, passes),
+        "wait": ca.if_else(looks, ca.if_else(soon, often, seldom), kept["wait"]) - 1,
+        "saturates": saturates,
         "next": ca.if_else(due, elapsed + limited(s.pace * elapsed, s.soonest, s.latest), kept["next"]),
-        "crossed": ca.if_else(decides, crossed, kept["crossed"]), "known": is_known,
-        "searches": searches, "rounds": (now > IDLE) * ca.if_else(soon, BANK.passes, ca.logic_not(searches)),
+        "crossed": ca.if_else(decides, crossed, kept["crossed"]),
+        "known": is_known,
+        "searches": searches,
+        "rounds": (now > IDLE) * ca.if_else(soon, BANK.passes, ca.logic_not(searches)),
         "against": ca.vertcat(*BANK.rates_odds[:2], ca.if_else(now == SECOND, NEVER, BANK.rates_odds[2])),
-        "candidate": ca.if_else(again, here, kept["candidate"]), "found": found, "odds": odds, "at_end": at_end,
-        "decision": decision, "unsure": unsure,
+        "candidate": ca.if_else(again, here, kept["candidate"]),
+        "found": found,
+        "odds": odds,
+        "at_end": at_end,
+        "decision": decision,
+        "unsure": unsure,
         "apart": ca.hypot(unsure, ca.hypot(late, s.inexact * (acts.age + acts.total))),
         "beliefs": ca.vertcat(beliefs, decision[:3], acts.grid),
-    }  # fmt: skip
+    }
     results = {NEXT + name: left[name] for name in KEPT}
     results |= {"retunes": ca.mmax(differs[:5]) > 0, "regrids": differs[4]}
     return dense_function("decision", a, results)

@@ -124,28 +124,31 @@ class Posterior(BufferedFunction):
         given, whole, steps = self.arguments, self.fine == 1, STEPS / self.fine
         reach = LARGEST if whole else STEPS
         low, high = np.maximum(centre - reach, 0), np.minimum(centre + reach, LARGEST)
-        grids = [np.arange(low[i], high[i] + INSTANT, steps[i]) for i in range(4)]
-        grids = [low[i] + steps[i] * np.arange(len(grid)) for i, grid in enumerate(grids)]
+        sizes = np.floor((high - low + INSTANT) / steps).astype(int) + 1
+        grids = [low[i] + steps[i] * np.arange(sizes[i]) for i in range(4)]
         ages, totals, lags, newer = grids
 
         # thrusts, of lag and total; gyroscope, of lag and the total beside what rates are old by, a - r
         first = max(ages[0] - newer[-1], 0)
         olds = first + steps[0] * np.arange(round((max(ages[-1] - newer[0], 0) - first) / steps[0]) + 1)
-        of_total = self._by_thrusts(*np.meshgrid(totals, lags))
+        ways = np.minimum(totals, BANK.largest_lag) - np.maximum(totals - BANK.largest_dead_time, 0)
+        prior = -totals / BANK.mean_delay - np.log(np.maximum(ways, 0) + BANK.lag_step)
+        of_total = self._by_commands("thrust", 0, totals, lags) + prior
         times = olds[0] + totals[0] + steps[0] * np.arange(len(olds) + len(totals) - 1)
         models = range(GYROS) if whole else [int(given["models"][0])]
-        gyro_model, of_gyro = _likeliest({i: self._by_rates(i, *np.meshgrid(times, lags)) for i in models})
+        gyro_model, of_gyro = _likeliest({i: self._by_commands("gyro", i, times, lags) for i in models})
         by_old = np.array([of_total + of_gyro[:, i : i + len(totals)] for i in range(len(olds))])
 
         # velocities and attitudes, of age and of what rates are newer by
         models = range(len(BANK.velocity_models)) if whole else [int(given["models"][1])]
-        velocity_model, of_age = _likeliest({i: self._by_velocities(i, ages) for i in models})
+        velocity_model, of_age = _likeliest({i: self._by_readings("velocity", i, ages) for i in models})
         age, by = np.meshgrid(ages, newer)
         rates = rates_of(age, by)
         counts = age - by > -INSTANT
         counts &= (rates != BETWEEN) | (by > BANK.age_step - INSTANT)  # less is how rates go between readings
         old = np.clip(np.rint((age - by - first) / steps[0]).astype(int), 0, len(olds) - 1)
-        alone = of_age - ages / BANK.mean_delay + self._by_attitudes(newer)[:, None] - given["against"][rates]
+        of_newer = self._by_readings("attitude", 0, newer)
+        alone = of_age - ages / BANK.mean_delay + of_newer[:, None] - given["against"][rates]
         log = np.where(counts, alone + by_old.max(axis=(1, 2))[old], -NEVER)
         without_total = np.where(counts, alone + by_old[:, :, 0].max(axis=1)[old], -NEVER)
 
@@ -179,49 +182,26 @@ class Posterior(BufferedFunction):
         found["newer"] = found["mean"][0] if of_mode == PROMPT else mode[3]
         return found | {"best": best}
 
-    def _by_thrusts(self, total: np.ndarray, lag: np.ndarray) -> np.ndarray:
-        """Log posterior of total and lag by the accelerometer."""
-        possible = _waits(total - lag, BANK.largest_dead_time)
-        count, span = max(self.arguments["weights"][0], 1), self.about.spans[0]
-        log = self._by_commands(self.arguments["thrust"], total, lag, possible, span, BANK.scale_deviation, count)
-        ways = np.minimum(total, BANK.largest_lag) - np.maximum(total - BANK.largest_dead_time, 0)
-        return log - total / BANK.mean_delay - np.log(np.maximum(ways, 0) + BANK.lag_step)
-
-    def _by_rates(self, model: int, time: np.ndarray, lag: np.ndarray) -> np.ndarray:
-        """Log likelihood by the gyroscope; two readings differ by the mean in between."""
-        M, possible = self._moments("gyro", model), _waits(time - lag, BANK.largest_dead_time + BANK.largest_age)
-        count, total = 2 * max(self.arguments["weights"][0], 1), time + self.about.spans[1] / 2
-        return self._by_commands(M, total, lag, possible, self.about.period, BANK.inertia_deviation, count)
-
-    def _by_velocities(self, model: int, age: np.ndarray) -> np.ndarray:
-        """Log likelihood of ages; two axes across the thrust."""
-        noise = self.about.period * np.sqrt(self.arguments["lateral"][0]), BANK.velocity_models[model]
-        count = 2 * max(self.arguments["weights"][1], 1)
-        M = self._moments("velocity", model)
-        return self._by_readings(M, age - self.about.spans[0] / 2, *noise, BANK.bias_deviation, count)
-
-    def _by_attitudes(self, newer: np.ndarray) -> np.ndarray:
-        """Log likelihood of what rates are newer by."""
-        count, M = AXES * max(self.arguments["weights"][2], 1), self.arguments["attitude"]
-        noise = self.about.turn_noise
-        return self._by_readings(M, newer - self.about.spans[1] / 2, *noise, BANK.rate_bias_deviation, count)
-
     def _moments(self, name: str, model: int) -> np.ndarray:
         """Of one noise model."""
         moments = self.arguments[name]
         size = moments.shape[1]
         return moments[model * size : (model + 1) * size]
 
-    def _by_commands(
-        self, M: np.ndarray, total: np.ndarray, lag: np.ndarray, possible: np.ndarray, span: float, deviation: float,
-        n: float,
-    ) -> np.ndarray:  # fmt: skip
-        """Log likelihood by n innovations of a filter that commands drive. deviation: prior of their scale."""
-        m = len(M) - 3
-        h = command_weights(self.about.period, m, total[possible], lag[possible], span)
-        cross, square = h @ M[0, 2:-1], np.sum(h @ M[2:-1, 2:-1] * h, axis=1)
+    def _by_commands(self, name: str, model: int, totals: np.ndarray, lags: np.ndarray) -> np.ndarray:
+        """Log likelihood, (l, D), by the innovations of a filter that commands drive, their scale with a prior."""
+        M, n, (total, lag) = self._moments(name, model), max(self.arguments["weights"][0], 1), np.meshgrid(totals, lags)
+        longest, span, prior = BANK.largest_dead_time, self.about.spans[0], BANK.scale_deviation
+        wait = total - lag
+        if name == "gyro":  # two readings differ by the mean in between
+            longest, span, prior = longest + BANK.largest_age, self.about.period, BANK.inertia_deviation
+            n, total = 2 * n, total + self.about.spans[1] / 2
+        possible = (wait > -INSTANT) & (wait < longest + INSTANT)
+        h = command_weights(self.about.period, len(M) - 3, total[possible], lag[possible], span)
+        cross = h @ M[0, 2:-1]
+        square = np.sum(h @ M[2:-1, 2:-1] * h, axis=1)
         least = np.min(M[0, 0] - 2 * cross + square)
-        ridge = max(least, 0) / n / deviation**2 + BANK.floor
+        ridge = max(least, 0) / n / prior**2 + BANK.floor
         scale = (cross + ridge) / (square + ridge)
         sse = np.maximum(M[0, 0] - 2 * scale * cross + scale**2 * square, 0)
         best = sse.argmin()
@@ -231,27 +211,33 @@ class Posterior(BufferedFunction):
         log[possible] = _log_likelihood(sse, n, before @ M @ now, now @ M @ now)
         return log
 
-    def _by_readings(
-        self, M: np.ndarray, age: np.ndarray, reading: float, noise: float, deviation: float, n: float
-    ) -> np.ndarray:
-        """Log likelihood by n innovations of a filter that integrates readings. reading: deviation of what one adds in
-        a period. noise: of the state that it is compared with. deviation: prior of the sensor's bias."""
+    def _by_readings(self, name: str, model: int, ages: np.ndarray) -> np.ndarray:
+        """Log likelihood, (a,), by the innovations of a filter that integrates readings, their bias with a prior.
+        reading: deviation of what one adds in a period. noise: of the state that it is compared with."""
+        M, (_, *weights) = self._moments(name, model), self.arguments["weights"]
+        if name == "velocity":
+            reading, noise = self.about.period * np.sqrt(self.arguments["lateral"][0]), BANK.velocity_models[model]
+            n, span, prior = 2 * max(weights[0], 1), self.about.spans[0], BANK.bias_deviation
+        else:
+            reading, noise = self.about.turn_noise
+            n, span, prior = AXES * max(weights[1], 1), self.about.spans[1], BANK.rate_bias_deviation
         columns = len(M) // 2
         square, products, known = M[:columns, :columns], M[:columns, columns:], columns - AXES
-        weights = reading_weights(self.about.period, known - 1, age)
-        h = np.hstack([np.ones((len(age), 1)), -weights])
+        of_readings = reading_weights(self.about.period, known - 1, ages - span / 2)
+        h = np.hstack([np.ones((len(ages), 1)), -of_readings])
         sse = np.sum(h @ square[:known, :known] * h, axis=1)
         cross = h @ square[:known, known:]
-        ridge = max(sse.min(), 0) / n / deviation**2 + BANK.floor
+        ridge = max(sse.min(), 0) / n / prior**2 + BANK.floor
         estimate = cross @ np.linalg.inv(square[known:, known:] + ridge * np.eye(AXES))
         sse = np.maximum(sse - np.sum(cross * estimate, axis=1), 0)
         # what white noise of readings adds to an innovation of a filter that keeps 1 - gain of its error
         kept = 1 - first_order_gain(reading / noise)
         places = np.arange(known - 1)
-        correlation = kept ** np.abs(places[:, None] - places)
-        added = reading**2 * np.sum(weights @ correlation * weights, axis=1) / (1 - kept**2) + 2 * noise**2 / (1 + kept)
+        correlated = of_readings @ kept ** np.abs(places[:, None] - places)
+        added = reading**2 * np.sum(correlated * of_readings, axis=1) / (1 - kept**2) + 2 * noise**2 / (1 + kept)
         sse = sse * added[0] / added
-        whole = np.r_[h[sse.argmin()], -estimate[sse.argmin()]]
+        best = sse.argmin()
+        whole = np.r_[h[best], -estimate[best]]
         return _log_likelihood(sse, n, whole @ products @ whole, whole @ square @ whole)
 
 
@@ -302,11 +288,6 @@ def rates_of(age: Any, newer: Any) -> Any:
     """LATE, PROMPT or BETWEEN, by how much rates are newer (s)."""
     between = np.where(np.abs(age - newer) < INSTANT, PROMPT, BETWEEN)
     return np.where(newer < INSTANT, LATE, between)
-
-
-def _waits(wait: np.ndarray, longest: float) -> np.ndarray:
-    """Whether commands may wait so long (s)."""
-    return (wait > -INSTANT) & (wait < longest + INSTANT)
 
 
 def _likeliest(found: dict[int, np.ndarray]) -> tuple[int, np.ndarray]:
