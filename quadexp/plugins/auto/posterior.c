@@ -33,7 +33,7 @@ typedef struct { /* where the weights of a hypothesis begin, the first two, and 
 
 static real larger(real a, real b) { return a > b ? a : b; }
 static real smaller(real a, real b) { return a < b ? a : b; }
-static real at(const grid *g, int of, int i) { return g->low[of] + g->step[of] * i; }
+static real at(const grid *g, int of, int i) { return g->low[of] + g->step[of] * (real)i; }
 static int inside(const grid *g, int of, int i) { return at(g, of, i) < g->high[of] + INSTANT; }
 
 static real integral(real x, real lag) { return x > 0 ? x + lag * (exp(-x / lag) - 1) : 0; }
@@ -48,7 +48,7 @@ static void command_weights(real *h, real total, real lag, real span) {
     const real wait = larger(total - lag, 0);
     real before = 0;
     for (int j = 0; j < COMMANDS; j++) {
-        const real now = j < COMMANDS - 1 ? response(PERIOD * (j + 1) - wait, larger(lag, INSTANT), span) : 1;
+        const real now = j < COMMANDS - 1 ? response(PERIOD * (real)(j + 1) - wait, larger(lag, INSTANT), span) : 1;
         h[j] = now - before, before = now;
     }
 }
@@ -59,7 +59,7 @@ static void lead_in(head *to, real total, real lag, real span, real falls) {
     real before = 0, left = exp(-first / larger(lag, INSTANT));
     to->first = (int)whole, lag = larger(lag, INSTANT);
     for (int k = 0; k < 3; k++, left *= falls) {
-        const real x = first + PERIOD * k;
+        const real x = first + PERIOD * (real)k;
         real now = 1 - left;
         if (span > INSTANT) now = (x + lag * (left - 1) - integral(x - span, lag)) / span;
         to->h[k] = now - before, before = now;
@@ -115,7 +115,7 @@ static real by_commands(
         if (sse[k] < lowest) lowest = sse[k], best = k, scale = s;
     }
     real h[COMMANDS], now = 0, before = 0, of[BLOCK];
-    command_weights(h, c->low + c->step * (best % count) + c->shift, at(g, L, best / count), c->span);
+    command_weights(h, c->low + c->step * (real)(best % count) + c->shift, at(g, L, best / count), c->span);
     for (int i = 0; i < BLOCK; i++) of[i] = M[i];
     for (int j = 0; j < COMMANDS; j++)
         for (int i = 0; i < BLOCK; i++) of[i] -= scale * h[j] * M[BLOCK * (j + 2) + i];
@@ -230,7 +230,7 @@ static void posterior(const real **arg, const real *centre, real **res, int fine
     grid g;
     for (int i = 0; i < 4; i++) {
         const real reach = whole ? LARGEST[i] : STEPS[i];
-        g.step[i] = STEPS[i] / fine, g.size[i] = (int)floor((whole ? reach : 2 * reach) / g.step[i] + (real)1.5);
+        g.step[i] = STEPS[i] / (real)fine, g.size[i] = (int)floor((whole ? reach : 2 * reach) / g.step[i] + (real)1.5);
         g.low[i] = larger(centre[i] - reach, 0), g.high[i] = smaller(centre[i] + reach, LARGEST[i]);
     }
     const int n_a = g.size[A], n_D = g.size[D], n_l = g.size[L], n_r = g.size[R], olds = whole ? n_a : n_a + n_r - 1;
@@ -262,7 +262,7 @@ static void posterior(const real **arg, const real *centre, real **res, int fine
     const channel gyro = {first + g.low[D], g.step[A], SPAN_RATE / 2, PERIOD, INERTIA_DEVIATION, 2 * seen, times};
     for (int l = 0; l < n_l; l++)
         for (int k = 0; k < times; k++) {
-            const real time = gyro.low + gyro.step * k;
+            const real time = gyro.low + gyro.step * (real)k;
             head *one = heads + times * l + k;
             const real wait = time - at(&g, L, l);
             one->possible = time < latest + INSTANT && inside(&g, L, l);
@@ -325,7 +325,7 @@ static void posterior(const real **arg, const real *centre, real **res, int fine
     for (int i = 0; i < 4; i++) res[MODE][i] = at(&g, i, place[i]);
     for (int i = 0; i < 3; i++) res[AT_END][i] = res[MODE][i] > LARGEST[i] - INSTANT;
     const int rates = rates_of(res[MODE][A], res[MODE][R]);
-    *res[RATES] = rates, res[CHOSEN][0] = models[0], res[CHOSEN][1] = models[1];
+    *res[RATES] = (real)rates, res[CHOSEN][0] = (real)models[0], res[CHOSEN][1] = (real)models[1];
     for (int i = 0; i < 3; i++) res[ALLOWED][i] = i == rates ? against[i] : NEVER;
     res[ODDS][0] = best - ageless, res[ODDS][1] = best - prompt;
     *res[MOVED] = 0;
@@ -356,7 +356,7 @@ static void posterior(const real **arg, const real *centre, real **res, int fine
         for (int k = 0; k < n_D; k++) shares[D][k] += of_each[i] * by_total[i][k];
         for (int k = 0; k < n_l; k++) shares[L][k] += of_each[i] * by_lag[i][k];
     }
-    const real beside[] = {AGE_STEP / fine, LAG_STEP / fine, LAG_STEP / fine};
+    const real beside[] = {AGE_STEP / (real)fine, LAG_STEP / (real)fine, LAG_STEP / (real)fine};
     for (int i = 0; i < 3; i++) summary(res, i, shares[i], &g, beside[i]);
     *res[NEWER] = rates == PROMPT ? res[MEAN][A] : res[MODE][R];
 }
