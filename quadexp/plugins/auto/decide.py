@@ -27,8 +27,8 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.physics.expression import Expression, dense_function, limited, named_symbols, split
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.auto.posterior import BETWEEN, FOUND, NEVER
-from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL
+from quadexp.plugins.auto.posterior import BETWEEN, FOUND
+from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL, NEVER
 
 UNKNOWN = -1.0  # of what a decision has crossed: neither
 IDLE, FIRST, SECOND = range(3)  # searches for a posterior, the second without rates between pose and now

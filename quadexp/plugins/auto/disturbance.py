@@ -32,12 +32,11 @@ from quadexp.physics.expression import limited, named_function, named_symbols
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.auto.settings import DISTURBANCE, INTERVAL, SPEEDS
+from quadexp.plugins.auto.settings import DISTURBANCE, INTERVAL, SPEEDS, TINY
 from quadexp.plugins.remedies.observers.filters import STATED, inverse
 
 WIND, SCALE, FORCE, AIR, N_ESTIMATE = slice(0, 3), 3, slice(4, 7), 7, 8
 WALKS, TORQUES = len(DISTURBANCE.walk_factors), 1 + len(DISTURBANCE.torque_bandwidths)  # without a torque first
-TINY = 1e-12  # so that nothing is divided by zero
 # m/s, N, s by which the force is behind, 1
 DEVIATIONS = (*(f"{of}_{axis}_sd" for of in ("wind", "force") for axis in "xyz"), "force_lag", "thrust_scale_sd")
 SIZES = {

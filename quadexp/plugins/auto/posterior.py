@@ -32,13 +32,12 @@ from quadexp.control.delivered import INSTANT
 from quadexp.physics.expression import named_function, named_symbols
 from quadexp.plugins.auto.bank import AXES, GYROS, Bank, Layout, first_order_gain
 from quadexp.plugins.auto.responses import command_weights, reading_weights
-from quadexp.plugins.auto.settings import BANK
+from quadexp.plugins.auto.settings import BANK, NEVER, QUANTILES
 
 SOURCE = Path(__file__).with_name("posterior.c")
 LATE, PROMPT, BETWEEN = range(3)
 STEPS = np.array([BANK.age_step, BANK.total_step, BANK.lag_step, BANK.age_step])  # of a, D, l, r (s)
 LARGEST = np.array([BANK.largest_age, BANK.largest_dead_time + BANK.largest_lag, BANK.largest_lag, BANK.largest_age])
-NEVER = 1e30  # a log odds, or a sum of squares
 # Of age, total and lag (s): mean, deviation, 2.5 and 97.5 % quantiles; by how much rates are newer; log posterior
 FOUND = {"mean": 3, "deviation": 3, "lower": 3, "upper": 3, "newer": 1, "best": 1}
 
@@ -47,7 +46,6 @@ FOUND = {"mean": 3, "deviation": 3, "lower": 3, "upper": 3, "newer": 1, "best": 
 # gyroscope and velocity; log Bayes factors against no age and no total; whether the mode is the last that there is (a,
 # D, l), and whether that of a finer grid is on its edge
 LEFT = {"mode": 4, "rates": 1, "allowed": 3, "chosen": 2, "odds": 2, "at_end": 3, "moved": 1}
-QUANTILES = 0.025, 0.975
 
 
 class BankSettings(NamedTuple):

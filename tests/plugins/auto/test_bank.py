@@ -13,9 +13,9 @@ from quadexp.control.delivered import SentCommands
 from quadexp.models.residual import no_residual
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.plugins.auto.bank import Bank, first_order_gain, stationary_gain
-from quadexp.plugins.auto.posterior import BETWEEN, FOUND, NEVER, Search
+from quadexp.plugins.auto.posterior import BETWEEN, FOUND, Search
 from quadexp.plugins.auto.responses import command_weights, reading_weights
-from quadexp.plugins.auto.settings import BANK
+from quadexp.plugins.auto.settings import BANK, NEVER
 
 PERIOD = 0.02
 

@@ -15,7 +15,8 @@ from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, VELOCITY
 from quadexp.plugins.auto.around_law import later, world_of
-from quadexp.plugins.auto.beliefs import LIMITS, beliefs, beliefs_figure, beliefs_table
+from quadexp.plugins.auto.beliefs import beliefs, beliefs_figure, beliefs_table
+from quadexp.plugins.auto.settings import LIMITS
 from quadexp.plugins.auto.settings import PATH as LAW
 from quadexp.report.metrics import position_error
 from quadexp.report.summary import flight_lines
