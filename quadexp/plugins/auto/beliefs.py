@@ -130,7 +130,7 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
 
 def _thrust_scale(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
     """What rotors gave lately of what was commanded, after dead time and lag (s), over the mass in that which is
-    assumed, (k,). NaN where no column shows what the world has: a factor that is drawn, a payload, a rotor that fails."""
+    assumed, (k,). NaN where no column shows what the world has: a drawn factor, a payload, a rotor that fails."""
     columns, config, n = flight.columns, flight.metadata["config"], flight.input.shape[1]
     actuator, truth, speeds = config.get("actuator", {}), config.get("truth", {}), "rotor_speed_0" in columns
     drawn = any(actuator.get(f"{of}_scale_std") for of in ("rotor", "flight"))
