@@ -50,7 +50,7 @@ class SensorKeys(Settings):
     rotor_speed_delay: float = key(0.0, AGE)
     rotor_speed_jitter: float = key(0.0, JITTER)
     rotor_speed_drop: float = key(0.0, DROP)
-    rotor_speed_step: float = key(0.0, "smallest difference that a telegram can tell; 0: any", "[0, 1000]", "rad/s")
+    rotor_speed_step: float = key(0.0, "resolution of a telegram; 0: exact", "[0, 1000]", "rad/s")
     rotor_speed_pole_pairs: int = key(
         0, "of the motors, whose period is given in telegrams of bidirectional DShot; 0: in none", "[0, 50]"
     )
@@ -74,7 +74,7 @@ class SensorKeys(Settings):
     pose_jitter: float = key(0.0, JITTER)
     pose_drop: float = key(0.0, DROP)
     battery_noise: float = key(0.0, "standard deviation of the white noise on the voltage", "[0, 10]", "V")
-    battery_step: float = key(0.0, "smallest difference of the voltage that is given; 0: any", "[0, 1]", "V")
+    battery_step: float = key(0.0, "resolution of the given voltage; 0: exact", "[0, 1]", "V")
     sheet_factor: float = key(
-        1.0, "by which the noise, drift and delay that controllers are given the sensors are wrong", "[0.01, 100]"
+        1.0, "factor from the true noise, drift and delay of the sensors to the stated ones", "[0.01, 100]"
     )
