@@ -207,7 +207,7 @@ class TimingFit:
         down = f" up and {1e3 * timing.lag_down:.1f} ms down" if timing.lag_up != timing.lag_down else ""
         lags = f"{1e3 * timing.lag_up:.1f} ms{down}"
         known = f"motor lag {lags} of the {timing.lag_of.replace('_', ' ')}, commands {1e3 * timing.delay:.1f} ms late"
-        source = "by the rotor speeds" if timing.measured else "by the residual that remains"
+        source = "by the rotor speeds" if timing.measured else "by the least residual"
         behind = f", state {1e3 * timing.state_delay:.1f} ms behind the rotors" if timing.measured else ""
         dead = timing.delay + timing.state_delay
         return (
