@@ -10,7 +10,6 @@ from quadexp.cli.command import Answer, Ask, Conf, Force, Out, command, file_row
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
 from quadexp.names import without
-from quadexp.plugins.page.asked import flights_of, keys_of, labels_of
 
 HEADING = "Look"
 WIDTHS = {"column": 3.5, "page": 7.16}  # inches, of the IEEE
@@ -52,14 +51,19 @@ def plot(
     from quadexp.plugins.page.draw import SUFFIXES, records, save_view
     from quadexp.plugins.page.view import view
     from quadexp.report.checked import check_flights
-    from quadexp.report.frame import SweepFrame
+    from quadexp.report.frame import SweepFrame, chosen
     from quadexp.report.style import check_path
 
-    names = labels_of(label)
+    names = dict(text.partition("=")[::2] for text in label)
+    if not all(names.values()):
+        raise UsageError(f"--label {next(name for name in names if not names[name])}: give KEY=TEXT")
     path = check_path(out, force, SUFFIXES)
-    whole = SweepFrame.read(results)
-    frame = flights_of(whole, where)
-    figure = view(frame, y=y, x=x, by=keys_of(by), facet=keys_of(facet), kind=kind).named(names)
+    frame = whole = SweepFrame.read(results)
+    if where:
+        frame = whole.where(chosen(whole, where))
+        if not frame.rows:
+            raise UsageError(f"--where {where!r}: no flight fulfils it")
+    figure = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), kind=kind).named(names)
     if height is not None and not 1 <= height <= 20:
         raise UsageError(f"--height {height:g}: must be in [1, 20] inches")
     figure = replace(
@@ -86,6 +90,11 @@ def _colours(words: Sequence[str]) -> dict[str, str]:
             raise UsageError(f"--color {text}: give NAME=COLOR, a colour by name or as #rrggbb")
         colours[name] = to_hex(colour)
     return colours
+
+
+def _keys(words: Sequence[str]) -> list[str] | None:
+    """Keys of an option that is repeatable, also with commas between; None where there are none."""
+    return [key.strip() for text in words for key in text.split(",") if key.strip()] or None
 
 
 @command

@@ -19,7 +19,7 @@ from quadexp.errors import UsageError
 from quadexp.messages import suggestion
 from quadexp.names import distinct
 from quadexp.parts.schema import of_contestant
-from quadexp.plugins.page.view import FLOWN, SUCCESS, Place, check_metric, checked_keys, points, value_text
+from quadexp.plugins.page.view import FLOWN, SUCCESS, Place, checked_keys, points, value_text
 from quadexp.report.frame import SweepFrame, setting_text, with_unit
 from quadexp.report.metrics import metric_of
 from quadexp.report.pairing import condition_of, contestant_of, grouped
@@ -43,8 +43,7 @@ def paper_table(
     """A table of one metric, or of "success". rows, columns: keys down and across; None to choose by what was swept.
     names: other texts for the metric, keys and values.
 
-    Raises UsageError for a metric or a key that is none, and a name of nothing in the table."""
-    check_metric(frame, metric, "--metric")
+    Raises UsageError for a key that is none, and a name of nothing in the table."""
     if intervals == "pm" and metric == SUCCESS:
         raise UsageError("--intervals pm: the interval of a share is not symmetric: give brackets")
     if rows is None and columns is None and metric != SUCCESS:

@@ -7,12 +7,10 @@ from typing import Annotated, Literal
 
 from quadexp.cli.command import Answer, Ask, Force, OptionalOut, command
 from quadexp.errors import UsageError
-from quadexp.plugins.page.asked import flights_of, keys_of, labels_of
 from quadexp.writer import check_output, write_text
 
 HEADING = "Look"
 
-SUFFIXES = {".tex": "latex", ".md": "markdown", ".csv": "csv"}
 Keys = tuple[str, ...]
 
 
@@ -43,19 +41,31 @@ def table(
     quadexp table results/x --metric rmse --label gp_mpc="GP (ours)" --width page --out table.md
     """
     from quadexp.plugins.page.paper_table import paper_table
+    from quadexp.plugins.page.view import SUCCESS
     from quadexp.report.fitted import WIDTHS, fitted_latex
-    from quadexp.report.frame import SweepFrame
+    from quadexp.report.frame import SweepFrame, chosen, is_metric
 
-    names = labels_of(label)
+    names = dict(text.partition("=")[::2] for text in label)
+    for name, text in names.items():
+        if not text:
+            raise UsageError(f"--label {name}: give KEY=TEXT")
+    suffixes = {".tex": "latex", ".md": "markdown", ".csv": "csv"}
     if out is not None:
         out = check_output(out, force=force)
-        form = SUFFIXES.get(out.suffix, "") if form == "text" else form
-        if form not in SUFFIXES.values():
+        form = suffixes.get(out.suffix, "") if form == "text" else form
+        if form not in suffixes.values():
             raise UsageError(f"--out {out}: end it in .tex, .md or .csv, or give --format latex, markdown or csv")
-    frame = flights_of(SweepFrame.read(results), where)
+    frame = SweepFrame.read(results)
+    if where:
+        frame = frame.where(chosen(frame, where))
+        if not frame.rows:
+            raise UsageError(f"--where {where!r}: no flight fulfils it")
     metric = metric or str(frame.record.get("metric", "mean_error"))
+    if metric != SUCCESS and not (is_metric(metric) and metric in frame.names):
+        known = [*filter(is_metric, frame.names), SUCCESS]
+        raise UsageError(f"--metric {metric}: no number of a flight{_suggestion(metric, known)}")
     rendered = paper_table(
-        frame, metric, rows=keys_of(rows), columns=keys_of(columns), names=names, intervals=intervals, digits=digits
+        frame, metric, rows=_keys(rows), columns=_keys(columns), names=names, intervals=intervals, digits=digits
     )
     latex = fitted_latex(rendered, WIDTHS[width])
     record = {"columns": rendered.columns, "rows": rendered.rows, "title": rendered.title, "notes": rendered.notes}
@@ -63,3 +73,14 @@ def table(
         return Answer(record, [rendered], [rendered], texts={"latex": lambda: latex})
     write_text(out, latex if form == "latex" else rendered.rendered(form), force=force)
     return Answer(record | {"path": out}, [rendered], [out], notes=rendered.notes)
+
+
+def _suggestion(name: str, known: list[str]) -> str:
+    from quadexp.messages import suggestion
+
+    return suggestion(name, known)
+
+
+def _keys(words: Keys) -> list[str] | None:
+    """Keys of an option that is repeatable, also with commas between; None where there are none."""
+    return [key.strip() for text in words for key in text.split(",") if key.strip()] or None

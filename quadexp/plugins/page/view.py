@@ -269,13 +269,6 @@ class View:
         return f"{text} m/s" if key == "trajectory.speed" else setting_text(key, value)
 
 
-def check_metric(frame: SweepFrame, name: str, option: str) -> None:
-    """UsageError for what is no number of a flight, nor "success"; option: by which it was asked for."""
-    metrics = [*filter(is_metric, frame.names), SUCCESS]
-    if name not in metrics:
-        raise UsageError(f"{option} {name}: no number of a flight{suggestion(name, metrics)}")
-
-
 def view(
     frame: SweepFrame, *, y: str = "mean_error", x: str | None = None, by: Sequence[str] | None = None,
     facet: Sequence[str] | None = None, kind: Kind | None = None,
@@ -285,8 +278,9 @@ def view(
 
     Raises UsageError for a key that is none, a key that is given twice, or where nothing can be drawn.
     """
-    check_metric(frame, y, "--y")
-    confidence = float(frame.record.get("confidence", 0.95))
+    metrics, confidence = [*filter(is_metric, frame.names), SUCCESS], float(frame.record.get("confidence", 0.95))
+    if y not in metrics:
+        raise UsageError(f"--y {y}: no number of a flight{suggestion(y, metrics)}")
     if x is None and kind is None and not by and not facet:
         return automatic(frame, y, confidence)[0]
     given_x, given_by, given_facet = (checked_keys(frame, keys) for keys in ([x] if x else [], by or [], facet or []))
