@@ -11,12 +11,12 @@ RATES = "[0, 8000]"
 AGES = "[0, 0.5]"
 RATE_HZ = Setting("readings a second; 0: one at every control instant", RATES, "Hz")
 AGE = Setting("age at which a reading is given", AGES, "s")
-JITTER = Setting("what a reading may take longer, uniform from reading to reading", AGES, "s")
+JITTER = Setting("largest additional delay, uniform from reading to reading", AGES, "s")
 DROP = Setting("share of the readings that get lost", "[0, 1)")
 CUTOFF = Setting("cut-off of the low pass before the readings; 0: none", "[0, 10000]", "Hz")
 BIAS_STD = "standard deviation of the bias that is drawn for a flight, each axis"
 DRIFT_STD = "standard deviation of the correlated error, each axis"
-DRIFT_TIME = Setting("over which that error is correlated", "(0, 1e6]", "s")
+DRIFT_TIME = Setting("correlation time of that error", "(0, 1e6]", "s")
 
 
 @keyed

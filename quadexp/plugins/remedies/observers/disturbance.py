@@ -118,7 +118,7 @@ class DisturbanceObserver(ObserverPart):
     )
     force_limit: float = key(15.0, "largest estimated force over the mass", "(0, 1000]", "m/s^2")
     scale_walk: float = key(
-        0.0, "what the thrust scale's standard deviation gains in a second; 0: not estimated", "[0, 1]"
+        0.0, "random walk of the thrust scale: its standard deviation after a second; 0: not estimated", "[0, 1]"
     )
     scale_initial: float = key(
         0.3, "standard deviation of the thrust scale when a flight begins", "[0, 1]", when="scale_walk"
