@@ -77,7 +77,7 @@ APART = 25.0  # rad/s
 SCALES = (-0.5, 1.0)  # limits of k
 AIR_SCALES = (-1.0, 4.0)  # of c
 SURPRISE = 4.0  # deviations: 1 in 16,000 of normal innovations of one axis
-STATED = 0.3  # scale above which the stated noise of the thrust is no longer compensated
+STATED = 0.3  # scale above which the stated noise of the thrust is no longer made good
 
 
 def scaled_force_update(
