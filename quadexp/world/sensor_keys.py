@@ -12,7 +12,7 @@ AGES = "[0, 0.5]"
 RATE_HZ = Setting("readings a second; 0: one at every control instant", RATES, "Hz")
 AGE = Setting("age at which a reading is given", AGES, "s")
 JITTER = Setting("largest additional delay, uniform from reading to reading", AGES, "s")
-DROP = Setting("share of the readings that get lost", "[0, 1)")
+DROP = Setting("share of the readings that are lost", "[0, 1)")
 CUTOFF = Setting("cut-off of the low pass before the readings; 0: none", "[0, 10000]", "Hz")
 BIAS_STD = "standard deviation of the bias that is drawn for a flight, each axis"
 DRIFT_STD = "standard deviation of the correlated error, each axis"
@@ -67,7 +67,7 @@ class SensorKeys(Settings):
     attitude_drift: float = key(0.0, DRIFT_STD, "[0, 1]", "rad")
     attitude_drift_time: float = key(10.0, DRIFT_TIME)
     attitude_age: Literal["pose", "fresh"] = key(
-        "pose", "attitude that is given: as old as position and velocity, or that of now, as of a filter on board"
+        "pose", "age of the given attitude: that of position and velocity, or none, as of a filter on board"
     )
     pose_rate: float = key(0.0, RATE_HZ)
     pose_delay: float = key(0.0, AGE)

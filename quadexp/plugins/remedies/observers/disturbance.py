@@ -99,7 +99,7 @@ class DisturbanceObserver(ObserverPart):
     """Force and torque beyond the model."""
 
     source: Literal["accelerometer", "velocity"] = key(
-        "accelerometer", "what the force is found from: the accelerometer, or the velocity where there is none"
+        "accelerometer", "source of the force: the accelerometer, or the velocity if there is none"
     )
     force_bandwidth: float = key(25.0, "bandwidth of the estimated force", "(0, 1000]", "rad/s", tuned="1..100:log")
     force_noise: float = key(
