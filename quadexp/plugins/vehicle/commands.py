@@ -51,7 +51,7 @@ def fly(
     firmware: Annotated[Path | None, Ask("betaflight: its SITL, which you build.", "PROGRAM")] = None,
     rc_rate: Annotated[float, Ask("betaflight: rate of the radio's pulses (Hz); 0: with every command.", "HZ")] = 0.0,
     rc_steps: Annotated[int, Ask("betaflight: resolution of a stick's throw.", "COUNT")] = 1000,
-    ahead: Annotated[float, Ask("betaflight: send the rates predicted for this time from now (s).", "TIME")] = 0.03,
+    ahead: Annotated[float, Ask("betaflight: for which predicted rates are sent (s).", "TIME")] = 0.03,
     out: OptionalOut = None,
     conf: Conf = (),
     force: Force = False,
