@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 
 from quadexp import requests
-from quadexp.compile.compiler import compiler
+from quadexp.compile.compiler import compiler, run_compiler
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.evaluate import InfeasibleError, build_loop
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight
 from quadexp.parts.compose import compose
-from quadexp.plugins.vehicle.betaflight.firmware import channels_packet, firmware_file, state_packet
-from quadexp.plugins.vehicle.betaflight.flight import Radio, Through, fly_betaflight, pulses, rotor_order
+from quadexp.plugins.vehicle.betaflight.firmware import Firmware, channels_packet, firmware_file, state_packet
+from quadexp.plugins.vehicle.betaflight.flight import SETTINGS, Radio, Through, fly_betaflight, pulses, rotor_order
 from quadexp.plugins.vehicle.export import export_controller
 
 PRECISE = ("controller=perfect_mpc", "horizon=precise", "trajectory=circle", "trajectory.speed=4")
@@ -149,6 +149,38 @@ def test_another_program_is_no_firmware() -> None:
         fly_betaflight(PRECISE, None, Radio(), Path("/bin/true"))
 
 
+# ------------------------------------------------------------------------------------------------------------- settings
+HELD_UP = r"""
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <netdb.h>
+#include <poll.h>
+int getaddrinfo(const char *node, const char *port, const struct addrinfo *hints, struct addrinfo **found) {
+    int (*original)(const char *, const char *, const struct addrinfo *, struct addrinfo **);
+    original = dlsym(RTLD_NEXT, "getaddrinfo");
+    poll(0, 0, 50);
+    return original(node, port, hints, found);
+}
+"""
+
+
+def test_settings_are_taken_where_the_machine_holds_the_firmware_up(firmware: Path, tmp_path: Path) -> None:
+    """Its main thread waits 50 ms between making its port and listening there, as on a busy machine: meanwhile its
+    thread of the ports used to throw the port away."""
+    source, library, program = tmp_path / "held_up.c", tmp_path / "held_up.so", tmp_path / "held_up"
+    source.write_text(HELD_UP)
+    run_compiler(["-fPIC", "-shared", str(source), "-o", str(library), "-ldl"], "compile held_up.c")
+    program.write_text(f'#!/bin/sh\nexport LD_PRELOAD="$LD_PRELOAD:{library}"\nexec "{firmware}"\n')
+    program.chmod(0o755)
+    with Firmware(program, tmp_path) as process:
+        assert process.settings(SETTINGS).startswith("Betaflight / SITL")
+
+
+def test_a_setting_that_the_firmware_does_not_know_is_an_error(firmware: Path, tmp_path: Path) -> None:
+    with Firmware(firmware, tmp_path) as process, pytest.raises(QuadexpError, match="refuses its settings"):
+        process.settings(["set no_such_setting = 1"])
+
+
 # -------------------------------------------------------------------------------------------------------------- flights
 def test_a_circle_within_a_millimetre_twice_the_same(firmware: Path, tmp_path: Path) -> None:
     one, other = flown(*PRECISE), flown(*PRECISE)
@@ -166,9 +198,9 @@ def test_the_published_grid_within_three_millimetres(firmware: Path) -> None:
 
 
 def test_a_late_radio_is_flown_where_it_is_known(firmware: Path) -> None:
-    with pytest.raises(InfeasibleError, match=r"controller.dead_time=0.02"):
+    with pytest.raises(InfeasibleError, match=r"timing.dead_time=0.02"):
         flown(*PRECISE, *LATE)
-    flight = flown(*PRECISE, *LATE, "controller.dead_time=0.02")
+    flight = flown(*PRECISE, *LATE, "timing.dead_time=0.02")
     assert error(flight) < 5
     assert 0 < flight.metadata["margins"]["delay"] < 0.05
 
