@@ -25,7 +25,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.control_step import Call
 from quadexp.control.mpc.mpc import MAX_TURN, PLAIN_ITERATIONS, TOLERANCE
 from quadexp.experiment.rollout import SampledReference
-from quadexp.physics.state import N_STATE, RATE
+from quadexp.physics.state import N_STATE
 from quadexp.plugins.vehicle.arrays import Arrays, span
 
 HERE = Path(__file__).parent
@@ -273,7 +273,8 @@ int {p}_reset(const {p}_real state[{N_STATE}], const {p}_window *window);
 int {p}_step(const {p}_real state[{N_STATE}], const {p}_real *force, const {p}_real *speed, const {p}_window *window,
             {p}_real command[{P}_ROTORS]);
 
-/* Body rates (3) that are predicted for the next node (rad/s); null of a law without a prediction. */
+/* Seven numbers: body rates that are predicted for when the command begins to act, and for the node after that (rad/s),
+   and the time between these (s); null of a law without a prediction. */
 const {p}_real *{p}_rates(void);
 
 /* What may be changed between two steps, at these places; a reset leaves it as it is. */
@@ -450,7 +451,6 @@ def plan_lines(exported: Program) -> list[str]:
     fields |= {name: at(array) for name, array in arrays.items()}
     content = ", ".join(f".{name} = {value}" for name, value in fields.items())
     steps = min(mpc.settings.initial_iterations, PLAIN_ITERATIONS)
-    rates = step.form.states + RATE.start
     return [
         *(f"int {phase}(const real **, real **, integer *, real *, int);" for phase in PHASES.values()),
         "extern real mpc_work[];",
@@ -459,7 +459,7 @@ def plan_lines(exported: Program) -> list[str]:
         f"static integer plan_sizes[] = {{{nodes}, {step.form.parameters}}};",
         f"enum {{ NODES = {nodes}, SAMPLES = {step.form.samples}, FULL_STEPS = {steps} }};",
         f"static real *const the_shift = {at(step.arguments['shift'])};",
-        f"#define RATES ({at(step.arguments['X'])} + {rates})",
+        f"static const real *const the_period = {at(step.arguments['dt'])};",
         f"static mpc the_plan = {{{content}}};",
     ]
 
