@@ -52,8 +52,8 @@ SPINS = (-1, -1, 1, 1)  # their reaction torques in its own order of propellers
 
 @dataclass(frozen=True)
 class Radio:
-    """rate: pulses are sent (Hz), with every command where it is 0. steps: of a stick's throw. ahead: of predicted rates
-    (s). rates: see rates.py."""
+    """rate: pulses are sent (Hz), with every command where it is 0. steps: of a stick's throw. ahead: of predicted
+    rates (s). rates: see rates.py."""
 
     rate: float = 0.0
     steps: int = 1000
