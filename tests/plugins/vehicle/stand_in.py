@@ -1,6 +1,7 @@
 """A stand-in for PX4 on loopback: the bench's plant under a rate loop at 1 kHz, which speaks MAVLink.
 
-In lockstep its clock stands until each state is answered; paced, it is the real one, and a command acts when it comes. alpha = K (w* - w), tau = J alpha + w x J w.
+In lockstep its clock stands until each state is answered; paced, it is the real one, and a command acts when it comes.
+alpha = K (w* - w), tau = J alpha + w x J w.
 """
 
 from __future__ import annotations
