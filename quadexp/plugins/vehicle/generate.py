@@ -33,6 +33,7 @@ STEP = ("stages.c", "riccati_scalar.c", "active_set.c")
 KERNELS = (compiled_loop.SOURCE, *(stages.SOURCE.with_name(name) for name in STEP))
 CHANGEABLE = ("theta", "Q", "Q_end", "R", "u_min", "u_max", "settings")  # arguments that a user may change in flight
 REPLACED = {"bounded_X": "X_new", "bounded_U": "U_new"}  # results that are made when the others are read no more
+LENT = ("cost", "k", "multiplier")  # results of mpc_prepare that mpc_bounded, which needs most work, reads no more
 FLOAT_TOLERANCE = 1e-4  # N: bound violation that counts as none, in single precision
 FUNCTIONS = (  # of math.h, that generated code and the C of the bench call
     "sqrt", "exp", "log", "log10", "fabs", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",
@@ -132,8 +133,12 @@ def program(controller: Any, names: Names, start: tuple[ca.Function | None, list
         solved = ("x0", "X", "U", "X_ref", "U_ref", "guess")
         for name, array in mpc.step.arguments.items():
             arrays.add(array, written=name in (*solved, "shift"), cleared=name in solved, changed=name in CHANGEABLE)
+        place = node_memory(mpc)
         for name, array in mpc.step.results.items():
-            if name in REPLACED:
+            if name in LENT and not is_read(array, instant.calls):
+                arrays.lent[array.ctypes.data] = "mpc_work", place
+                place += array.size
+            elif name in REPLACED:
                 arrays.shared[array.ctypes.data] = mpc.step.results[REPLACED[name]]
             else:
                 arrays.add(array, written=True, cleared=True)
@@ -217,16 +222,22 @@ def node_c(exported: Program) -> str:
     return f'#include "real.h"\n{QUIET}{in_precision(stages.node_source(functions), exported.names)}'
 
 
-def mpc_c(exported: Program) -> str:
-    """The MPC's step; its work is as long as the longest of its phases needs."""
-    mpc = exported.plan.mpc
+def node_memory(mpc: Any) -> int:
+    """Numbers of work of the functions of a node."""
     functions = stages.node_functions(mpc.vehicle, mpc.residual, mpc.step.form)
-    nodes, node_memory = len(mpc.step.arguments["U"]), max(function.sz_w() for function in functions)
+    return max(function.sz_w() for function in functions)
+
+
+def mpc_c(exported: Program) -> str:
+    """The MPC's step. Its work is that of a node with the results that are lent to it, or that of mpc_bounded."""
+    mpc = exported.plan.mpc
+    nodes = len(mpc.step.arguments["U"])
+    needed = node_memory(mpc) + sum(mpc.step.results[name].size for name in LENT)
     return (
         f'#include "real.h"\n{stages.stages_constants(mpc.step.form)}#include "stages.c"\n'
-        f"enum {{ NODES = {nodes}, NODE_MEMORY = {node_memory} }};\n"
+        f"enum {{ NODES = {nodes}, NEEDED = {needed} }};\n"
         "extern real mpc_work[];\n"
-        "real mpc_work[BOUNDED_MEMORY(NODES) > NODE_MEMORY ? BOUNDED_MEMORY(NODES) : NODE_MEMORY];\n"
+        "real mpc_work[BOUNDED_MEMORY(NODES) > NEEDED ? BOUNDED_MEMORY(NODES) : NEEDED];\n"
     )
 
 
