@@ -7,8 +7,7 @@ thrusts    std_msgs/Float64MultiArray: of the rotors, in the vehicle file's orde
 rates      geometry_msgs/TwistStamped: angular: body rates that an MPC predicts (rad/s); linear.z: collective thrust (N)
 
 The path begins with the first odometry and goes on by its stamps. Without an installation of ROS: pip install ros-rclpy
-ros-nav-msgs ros-geometry-msgs ros-std-msgs ros-rmw-fastrtps-cpp, with RMW_IMPLEMENTATION=rmw_fastrtps_cpp. It has met a
-simulated vehicle only.
+ros-nav-msgs ros-rmw-fastrtps-cpp, and RMW_IMPLEMENTATION=rmw_fastrtps_cpp. It has met a simulated vehicle only.
 """
 
 import sys
@@ -24,8 +23,6 @@ import quadexp as qx
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 
-CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])  # of a quaternion
-
 
 def state_of(message):
     """(13,) of an Odometry message."""
@@ -34,8 +31,8 @@ def state_of(message):
     x[POSITION] = pose.position.x, pose.position.y, pose.position.z
     q = pose.orientation
     x[ATTITUDE] = q.w, q.x, q.y, q.z
-    body_velocity = np.array([twist.linear.x, twist.linear.y, twist.linear.z])
-    x[VELOCITY] = air_velocity(CONJUGATE * x[ATTITUDE], body_velocity)  # from body to world
+    to_body = np.array([q.w, -q.x, -q.y, -q.z])  # by which a velocity of the body becomes one of the world
+    x[VELOCITY] = air_velocity(to_body, np.array([twist.linear.x, twist.linear.y, twist.linear.z]))
     x[RATE] = twist.angular.x, twist.angular.y, twist.angular.z
     return x
 
@@ -49,8 +46,7 @@ class ControllerNode(Node):
         self.thrusts = self.create_publisher(Float64MultiArray, "thrusts", 1)
         self.rates = self.create_publisher(TwistStamped, "rates", 1)
         self.create_subscription(Odometry, "odometry", self.on_odometry, 1)
-        self.began = None
-        self.done = False
+        self.began, self.done = None, False
 
     def on_odometry(self, message):
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
@@ -66,21 +62,16 @@ class ControllerNode(Node):
             raise SystemExit(f"the control step failed at t={measurement.t:.2f} s")
         self.thrusts.publish(Float64MultiArray(data=thrusts.tolist()))
         if self.loop.rates is not None:
-            command = TwistStamped()
-            command.header.stamp = message.header.stamp
+            command = TwistStamped(header=message.header)
             angular = command.twist.angular
-            angular.x, angular.y, angular.z = map(float, self.loop.rates)
+            angular.x, angular.y, angular.z = self.loop.rates.tolist()
             command.twist.linear.z = float(thrusts.sum())
             self.rates.publish(command)
 
 
-def main(settings):
+if __name__ == "__main__":
     rclpy.init()
-    node = ControllerNode(settings)
+    node = ControllerNode(sys.argv[1:])
     while rclpy.ok() and not node.done:
         rclpy.spin_once(node, timeout_sec=0.1)
     rclpy.try_shutdown()
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -200,19 +200,24 @@ def in_precision(source: str, names: Names) -> str:
     return LITERAL.sub(r"\1f", source) if names.real == "float" else source
 
 
+def written_by_hand(exported: Program) -> dict[str, str]:
+    """Functions of the layers that are written in C, by their name."""
+    called: list[Any] = [entry.function for entry in exported.calls if hasattr(entry.function, "source")]
+    return {entry.function.name(): entry.source for entry in called}
+
+
 def model_c(exported: Program, functions: Sequence[ca.Function]) -> str:
     """The functions of the layers."""
     names = exported.names
     generator = ca.CodeGenerator(f"{names.prefix}_model", {"with_header": False})
-    called: list[Any] = [entry.function for entry in exported.calls if hasattr(entry.function, "source")]
-    written = {entry.function.name(): entry.source for entry in called}  # C by hand
+    written = written_by_hand(exported)
     for function in functions:
         if function.name() not in written:
             generator.add(function)
     renamed = "".join(f"#define {entry.name()} {names.prefix}_{entry.name()}\n" for entry in functions)
     body = in_precision(generator.dump(), names) if functions else ""
-    by_hand = "\n".join(dict.fromkeys(written.values()))  # several functions may be of one text
-    return f'#include "real.h"\n{QUIET}{renamed}{body}{in_precision(by_hand, names)}'
+    texts = "\n".join(dict.fromkeys(written.values()))  # several functions may be of one text
+    return f'#include "real.h"\n{QUIET}{renamed}{body}{in_precision(texts, names)}'
 
 
 def node_c(exported: Program) -> str:
@@ -367,7 +372,8 @@ def controller_c(exported: Program) -> str:
     image = arrays.contents("ram")
     used = np.flatnonzero(image)
     begins = image[: used[-1] + 1] if used.size else image[:0]
-    called = [function for _, function in functions.values()]
+    by_hand = written_by_hand(exported)
+    called = [function for name, function in functions.values() if name not in by_hand]  # those need no work
     called += [exported.start[0]] if exported.start[0] is not None else []
     work = max([1, *(function.sz_w() for function in called)])
     places = max([1, *(function.sz_iw() for function in called)])
@@ -377,7 +383,7 @@ def controller_c(exported: Program) -> str:
     lines += [f"enum {{ ROTORS = {vehicle.n_rotors}, ROWS = {exported.rows}, RAM = {max(len(image), 1)} }};"]
     lines += [f"enum {{ IMAGE = {len(begins)}, ROUND = {math.lcm(*(o.every for o in exported.calls))} }};"]
     lines += ["static real ram[RAM];"]
-    lines += [f"static real w[{work}];", f"static integer iw[{places}];"] if called else []
+    lines += [f"static real w[{work}];", f"static integer iw[{places}];"] if functions or called else []
     lines += [f"static real numbers[] = {{{names.literals(arrays.contents('numbers'))}}};"]
     if len(arrays.contents("rom")):
         lines += [f"static const real rom[] = {{{names.literals(arrays.contents('rom'))}}};"]
