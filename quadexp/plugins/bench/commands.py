@@ -21,7 +21,7 @@ def _controllers(context: typer.Context, incomplete: str) -> list[str]:
     return [name for name in groups(context.params.get("conf"))["controller"] if name.startswith(incomplete)]
 
 
-CONTROLLER = Ask("Takes part too, as 'NAME observer=...'; repeatable.", "NAME", "--controller", _controllers)
+CONTROLLER = Ask("Add this controller, such as 'NAME observer=...'; repeatable.", "NAME", "--controller", _controllers)
 
 
 @partial(command, controllers=CONTROLLER)
@@ -41,7 +41,9 @@ def bench(asked: Bench, overrides: Overrides = (), out: OptionalOut = None, conf
 
     with Progress("flights") as progress:
         board = ranked_by(overrides, asked, out=out, conf=conf, progress=progress, say=say)
-    boards = {name: [named(t.columns, row) for row in t.rows] for name, t in board.tables.items()}
+    boards = {}
+    for name, t in board.tables.items():
+        boards[name] = [named(t.columns, row) for row in t.rows]
     record = {"protocol": board.protocol.name, "size": asked.size, "boards": boards}
     record["files"] = dict(board.files)
     tables = list(board.tables.values())
