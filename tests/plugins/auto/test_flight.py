@@ -23,6 +23,7 @@ from tests.slow import slow
 
 pytestmark = pytest.mark.usefixtures("unmeasured")
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"  # whose vehicle has six rotors
+INTERPRETED = ("controller.backend=interpreted", "plant.backend=interpreted")  # where nothing is flown
 PATH = ("trajectory=circle", "trajectory.speed=8", "sensor.accelerometer_noise=[0.05,0.05,0.05]", "seed=5")
 
 
@@ -275,8 +276,8 @@ def test_what_it_believes_is_true_and_shown():
     [
         (["world=only_latency", "truth.mass=1.08"], 1 / 1.08),
         (["world=only_battery"], 0.9),  # what is left after 20 s
-        (["vehicle=hummingbird", "world=only_battery", "truth.mass=1.05"], 0.94 / 1.05),
         (["world=everything"], np.nan),  # a drawn factor is in no column
+        *slow((["vehicle=hummingbird", "world=only_battery", "truth.mass=1.05"], 0.94 / 1.05)),
     ],
 )
 def test_the_scale_of_the_thrust_is_known_where_the_world_states_it(given, true):
@@ -377,7 +378,7 @@ def test_a_law_flies_corners_in_wind(sensor, seed):
 )
 def test_what_it_cannot_stand_around_is_refused(given, said):
     with pytest.raises(UsageError, match=f"delay=auto: {said}"):
-        fly_one(compose(["trajectory=hover", "delay=auto", *given]))
+        fly_one(compose(["trajectory=hover", "delay=auto", *given, *INTERPRETED]))
 
 
 GUST = (
