@@ -66,7 +66,7 @@ test-python:
 WHOLE := test_flight *remedies test_beliefs test_targets test_decide
 ASKING := models/test_residuals control/test_contracts control/test_delivered control/laws/test_law \
 	$(addprefix control/mpc/test_,mpc reference_thrust dead_time motor_lead phases riccati) \
-	$(addprefix world/test_,air_effects sensors simplified streams true_vehicle wind world) \
+	$(addprefix world/test_,air_effects sensors wind world) \
 	reference/test_air_model reference/test_partial_air plugins/worlds/test_eskf plugins/papers/test_plant
 test-interpreted: $(STAMP)
 	CC=none $(BIN)/python -m pytest -n $(TEST_PROCESSES) --dist worksteal -m 'not slow' $(ASKING:%=tests/%.py) \
