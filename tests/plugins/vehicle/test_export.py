@@ -359,6 +359,12 @@ def test_what_is_python_only_is_named(tmp_path: Path, settings: tuple[str, ...],
     assert not (tmp_path / "c").exists()
 
 
+def test_sums_over_a_flight_in_single_precision_are_refused(tmp_path: Path) -> None:
+    """Its code did not compile; once it did the closed loop was 31 m off."""
+    with pytest.raises(UsageError, match="--real float: .* need --real double"):
+        export_controller(AUTO["auto"], tmp_path / "c", real="float")
+
+
 def test_mistakes(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="--prefix 9x"):
         export_controller(LAW, tmp_path / "c", prefix="9x")

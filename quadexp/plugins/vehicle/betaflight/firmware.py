@@ -117,7 +117,7 @@ class Firmware:
             answer = ""
         if answer != what:
             last = (self._log.read_text(errors="replace").strip().splitlines() or ["nothing"])[-1]
-            raise QuadexpError(f"the firmware does not answer; the last that it said: {last[:160]}")
+            raise QuadexpError(f"the firmware does not answer; its last line: {last[:160]}")
 
     def _tell(self, port: int, packet: bytes) -> None:
         self._socket.sendto(packet, (HOST, port))
