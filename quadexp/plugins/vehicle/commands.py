@@ -43,7 +43,7 @@ def export_controller(
 def fly(
     target: Annotated[str, Ask("betaflight, or udp:HOST:PORT, where a PX4 sends to.", "TARGET")],
     overrides: Overrides = (),
-    rates: Annotated[str, Ask("udp: predicted, or inverse=X,Y,Z, its rate loop's gains (1/s).", "RATES")] = "predicted",
+    rates: Annotated[str, Ask("predicted, or inverse=X,Y,Z, gains of its rate loop (1/s).", "RATES")] = "predicted",
     thrust: Annotated[str, Ask("udp: hover=SHARE, full, or curve=FACTOR.", "MAP")] = "full",
     arm: Annotated[bool, Ask("udp: arm the vehicle.")] = False,
     vehicle_is_real: Annotated[bool, Ask("udp: allow addresses of other machines: a vehicle may move.")] = False,
@@ -51,7 +51,7 @@ def fly(
     firmware: Annotated[Path | None, Ask("betaflight: its SITL, which you build.", "PROGRAM")] = None,
     rc_rate: Annotated[float, Ask("betaflight: rate of the radio's pulses (Hz); 0: with every command.", "HZ")] = 0.0,
     rc_steps: Annotated[int, Ask("betaflight: resolution of a stick's throw.", "COUNT")] = 1000,
-    ahead: Annotated[float, Ask("betaflight: for which predicted rates are sent (s).", "TIME")] = 0.03,
+    ahead: Annotated[float, Ask("betaflight: for which predicted rates are sent (s).", "TIME")] = 0.04,
     out: OptionalOut = None,
     conf: Conf = (),
     force: Force = False,
@@ -72,12 +72,12 @@ def fly(
 
     path = None if out is None else check_output(out, force=force)
     if target == "betaflight":
-        if (rates, thrust) != ("predicted", "full") or arm or vehicle_is_real or lockstep:
-            raise UsageError("fly betaflight: --rates, --thrust, --arm, --vehicle-is-real, --lockstep are for udp")
+        if thrust != "full" or arm or vehicle_is_real or lockstep:
+            raise UsageError("fly betaflight: --thrust, --arm, --vehicle-is-real, --lockstep are for udp")
         from quadexp.plugins.vehicle.betaflight.flight import Radio, fly_betaflight
         from quadexp.report.summary import flight_lines
 
-        flight = fly_betaflight(overrides, conf, Radio(rc_rate, rc_steps, ahead), firmware)
+        flight = fly_betaflight(overrides, conf, Radio(rc_rate, rc_steps, ahead, rates), firmware)
         about = flight.metadata
         record, lines = dict(about["row"]), [*flight_lines(about), f"firmware    {about['autopilot']}"]
     else:

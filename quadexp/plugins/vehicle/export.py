@@ -37,7 +37,7 @@ from quadexp.provenance import versions
 from quadexp.writer import check_output, write_folder
 
 MANIFEST = "model.json"
-FORMAT = 2  # of the folder
+FORMAT = 3  # of the folder
 REPLAY = {"double": 1e-9, "float": 0.02}  # N, of a step on recorded inputs
 PATHS = {"double": 1e-9, "float": 1.0}  # m, between the path of the bench and that of C
 SUMMED = 1e-8  # m, likewise of one that decides by sums over a flight, whose rounding it amplifies: 2.9e-9 was seen
@@ -268,7 +268,7 @@ def manifest(
 ) -> dict[str, str | bytes]:
     """What the bench needs to fly the folder: settings, versions, the hash of every file; and the model of the air of
     its references."""
-    residual, plan = controller.residual, controller.running.control_step.plan
+    residual = controller.residual
     air: dict[str, Any] = {}
     if residual is not None:
         air = {"name": residual.name, "source": residual.source, "theta": residual.theta.tolist()}
@@ -283,7 +283,6 @@ def manifest(
         "rotors": controller.vehicle.n_rotors,
         "period": controller.control_period,
         "node_times": [float(t) for t in controller.node_times],
-        "states": 0 if plan is None else plan.mpc.step.form.states,
         "knows": controller.residual_name,
         "source": controller.source,
         "air": air,

@@ -26,6 +26,7 @@ from quadexp.world.link import Latency
 from quadexp.world.world import World
 from tests.control.mpc.delayed import DelayedPlant
 from tests.models.residuals import RESIDUALS, make_residual
+from tests.slow import slow
 from tests.states import random_state
 
 QUIET = PlantEffects(motor_noise_density=0.0, force_noise_density=0.0, torque_noise_density=0.0)
@@ -193,9 +194,11 @@ def test_a_time_out_of_range_is_refused(key, value):
     ("settings", "latency", "lag", "most"),
     [
         ({"dead_time": 0.05}, 0.02, 0.03, 0.05),  # measured 0.028 mm
-        ({"dead_time": 0.02, "motor_lag": 0.03}, 0.02, 0.03, 0.04),  # 0.026
         ({"dead_time": 0.02, "motor_lag": 0.03, "first_node": 0.02, "horizon": 0.6}, 0.02, 0.03, 0.02),  # 0.001
-        ({"dead_time": 0.033}, 0.033, 0.0, 0.05),
+        *slow(
+            ({"dead_time": 0.02, "motor_lag": 0.03}, 0.02, 0.03, 0.04),  # 0.026
+            ({"dead_time": 0.033}, 0.033, 0.0, 0.05),
+        ),
     ],
 )
 def test_known_delays_cost_no_accuracy(vehicle, trajectory, settings, latency, lag, most):

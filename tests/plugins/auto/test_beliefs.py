@@ -89,7 +89,7 @@ def test_what_a_world_draws_or_carries_has_no_true_scale():
 
 
 def test_a_flight_of_one_sample_has_no_beliefs():
-    flight = fly_one(
-        compose(["controller=perfect_mpc", "trajectory=hover", "trajectory.duration=0.01", "remedies=auto"])
-    )
+    interpreted = "controller.backend=interpreted", "plant.backend=interpreted"
+    hover = "controller=perfect_mpc", "trajectory=hover", "trajectory.duration=0.01", "remedies=auto"
+    flight = fly_one(compose([*hover, *interpreted]))
     assert len(flight) == 1 and not beliefs(flight)

@@ -11,6 +11,7 @@ from quadexp.plugins.logs.samples import gather_to_fit
 from tests.models.logged_flights import logged_flight
 from tests.models.recorded_flights import crazyflie
 from tests.plugins.identification.test_torque import GAIN, turning
+from tests.slow import slow
 
 IDEAL = ["plant.motor_loss=0"]  # so that the vehicle file is the truth
 MOTORS = "plant.motor_noise_density=0.00224"  # five times the usual
@@ -23,7 +24,7 @@ WORLDS = {
 }
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("axis", [0, 2, *slow(1)])
 def test_strong_disturbances_do_not_bias_it(axis):
     """Ten times the noise of test_torque.py, three groups of flights: the band is off where this is not."""
     ratios = []
@@ -80,7 +81,7 @@ def test_a_plant_turns_by_it_where_it_is_known():
     assert residual(np.r_[np.zeros(6), u])[0, 3:] == pytest.approx([0.2 * by_file[0], -0.1 * by_file[1], 0.0])
 
 
-@pytest.mark.parametrize("factor", [0.8, 1.25, 1.5])
+@pytest.mark.parametrize("factor", [0.8, 1.5, *slow(1.25)])
 def test_another_inertia_is_found_and_flown(tmp_path, factor):
     """The vehicle file's inertia is wrong by this factor: gain 1 / factor, in the model that identify stores."""
     words = ["trajectory=random", "trajectory.speed=6", "controller=geometric", *IDEAL]
