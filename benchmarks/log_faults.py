@@ -297,8 +297,8 @@ def main() -> None:
     parser.add_argument("--sound", type=Path, help="folder of public flights that must not be blocked")
     parser.add_argument("--out", type=Path, default=Path("log_faults.jsonl"))
     asked = parser.parse_args()
-    if asked.all_valid_or_raise is not None and not any(asked.all_valid_or_raise.glob("*.csv")):
-        parser.error(f"--sound {asked.all_valid_or_raise}: has no CSV files")
+    if asked.sound is not None and not any(asked.sound.glob("*.csv")):
+        parser.error(f"--sound {asked.sound}: has no CSV files")
     done = [json.loads(line) for line in asked.out.read_text().splitlines()] if asked.out.exists() else []
     known = {record["seed"] for record in done}
     for seed in range(asked.seed, asked.seed + asked.repetitions):
@@ -310,8 +310,8 @@ def main() -> None:
             file.write(json.dumps(record, default=float) + "\n")
         print(report([record])[0], flush=True)
     lines = report(done)
-    if asked.all_valid_or_raise is not None:
-        lines += sound(asked.all_valid_or_raise)
+    if asked.sound is not None:
+        lines += sound(asked.sound)
     sys.stdout.write("\n".join(lines) + "\n")
 
 
