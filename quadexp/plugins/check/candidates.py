@@ -240,23 +240,29 @@ def bias_candidates(windows: Windows) -> list[Candidate]:
     return candidates
 
 
+def world_acceleration(windows: Windows) -> tuple[np.ndarray, np.ndarray] | None:
+    """What velocity or position and what the accelerometer say, both with g, in the world, (2n, 3) of halves of the
+    windows, or (n, 3); None where a stream is missing."""
+    known = {pair.name: pair for pair in pairs(windows)}
+    pair = known.get("force") or known.get("force (p)")
+    if pair is None:
+        return None
+    half = windows.t.shape[1] // 2
+    turn = windows.rotation[:, half] if pair.name.endswith("(p)") else np.concatenate(
+        [windows.rotation[:, (a + b) // 2] for a, b in halves(windows.t)]
+    )  # fmt: skip
+    return np.einsum("nij,nj->ni", turn, pair.expected), np.einsum("nij,nj->ni", turn, pair.measured)
+
+
 def heading_candidates(windows: Windows) -> list[Candidate]:
     """A heading of the attitude that is turned about the vertical against position and velocity:
 
     min over psi of sum_k |a_k - R_z(psi) R_k f_k|^2,  horizontal components.
     """
-    if "f" not in windows.streams:
+    sides = world_acceleration(windows)
+    if sides is None:
         return []
-    known = {pair.name: pair for pair in pairs(windows)}
-    pair = known.get("force") or known.get("force (p)")
-    if pair is None:
-        return []
-    half = windows.t.shape[1] // 2
-    turn = windows.rotation[:, half] if pair.name.endswith("(p)") else np.concatenate(
-        [windows.rotation[:, (a + b) // 2] for a, b in halves(windows.t)]
-    )  # fmt: skip
-    world = [np.einsum("nij,nj->ni", turn, side)[:, :2] for side in (pair.expected, pair.measured)]
-    x, y = (side - side.mean(axis=0) for side in world)
+    x, y = (side[:, :2] - side[:, :2].mean(axis=0) for side in sides)
     stretch = np.arange(len(x)) % len(windows.t) * STRETCHES // len(windows.t)
 
     def angle(rows: np.ndarray) -> float:

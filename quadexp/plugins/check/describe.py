@@ -213,8 +213,9 @@ class _Proposals:
         units, length, x = _nearest(v.gain, GAINS), self.written(p, "length"), self.table.x
         if GAINS[units] == 1.0 and length in ("mm", "cm"):
             units = (length, f"{length}/s")
-        elif GAINS[units] == 1.0 and np.ptp(x[:, p], axis=0).max() > 500 and np.abs(x[:, v.columns]).max() > 80:
-            units = ("mm", "mm/s")
+        elif GAINS[units] == 1.0:  # two axes at least: a single one in mm is named by the search
+            far, fast = np.ptp(x[:, p], axis=0), np.abs(x[:, v.columns]).max(axis=0)
+            units = ("mm", "mm/s") if np.median(far) > 500 and np.median(fast) > 80 else units
         clear = abs(v.gain * UNITS["velocity"][units[1]] / UNITS["length"][units[0]] - 1) < 0.1
         sure = (SURE if v.correlation > 0.95 else 0.75) if clear else GUESS
         why = f"the velocity is {v.gain:.3g} times its derivative, correlation {v.correlation:.3f}"

@@ -75,7 +75,7 @@ _PATTERNS: list[tuple[str, re.Pattern[str]]] = [
     ("euler", re.compile(_W + r"(roll|pitch|yaw|heading)")),
     ("wind", re.compile(_W + r"(?:wind|vwind|wind_?speed|wind_?vel)" + _A)),
     ("rate", re.compile(
-        _W + r"(?:w|omega|om|gyro|gyr|gyr?oadc|gyro_rad|gyrounfilt|gyro_filt|ang[ ._]?vel|angular[ ._]?velocity|angvel"
+        _W + r"(?:w|g|omega|om|gyro|gyr|gyr?oadc|gyro_rad|gyrounfilt|gyro_filt|ang[ ._]?vel|angular[ ._]?velocity|angvel"
         r"|rate|rates|body_?rates?|w_rs_s|xyz|angular|bodyrate|ang_rate)" + _A)),
     ("rate", re.compile(_W + r"(rollspeed|pitchspeed|yawspeed|roll_?rate|pitch_?rate|yaw_?rate)")),
     ("velocity", re.compile(_W + r"([xyz])[._ ]?dot")),

@@ -138,7 +138,7 @@ def pairs(windows: Windows, touching: str = "tpqvwf") -> list[Pair]:
     if p is not None and v is not None and wanted("velocity"):
         known.append(Pair("velocity", changes(t, p), means(t, v)))
     if q is not None and w is not None and wanted("rate"):
-        known.append(Pair("rate", _weighted(t, attitude_rate(t, q)), means(t, w)))
+        known.append(Pair("rate", weighted(t, attitude_rate(t, q)), means(t, w)))
     if f is not None and wanted("push"):
         read = means(t, f)
         known.append(Pair("push", np.abs(read) * UP + read * (1 - UP), read))
@@ -178,7 +178,7 @@ def halves(t: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
 
 def means(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Means of x (n, l, m) over both halves of the windows by the trapezoidal rule, (2n, m)."""
-    return _weighted(t, (x[:, 1:] + x[:, :-1]) / 2)
+    return weighted(t, (x[:, 1:] + x[:, :-1]) / 2)
 
 
 def changes(t: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -186,7 +186,7 @@ def changes(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.concatenate([(x[:, b] - x[:, a]) / (t[:, b] - t[:, a])[:, None] for a, b in halves(t)])
 
 
-def _weighted(t: np.ndarray, x: np.ndarray) -> np.ndarray:
+def weighted(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Means over both halves of what is given between the samples, (n, l - 1, m)."""
     weight = np.diff(t, axis=1)[..., None]
     parts = [slice(a, b) for a, b in halves(t)]
