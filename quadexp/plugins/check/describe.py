@@ -22,7 +22,7 @@ from quadexp.log.runs import period_of
 from quadexp.messages import printable
 from quadexp.physics.rotation import continuous
 from quadexp.physics.state import norms
-from quadexp.plugins.check.candidates import READINGS, Candidate, flow
+from quadexp.plugins.check.candidates import KEYS, READINGS, Candidate, flow
 from quadexp.plugins.check.columns import Match, Table
 from quadexp.plugins.check.search import MARGIN, PER_COST, agreement, explain
 from quadexp.plugins.logs.column_names import groups, numbered_quaternion, unit_of
@@ -48,6 +48,9 @@ WORLDS = {  # frame of the log's world: what it is, cost
     "ENU": ("z up; which way x points from north cannot be known from the data", 0.0), "NED": ("z down", 0.1),
     "z x y": ("y up", 2.5), "x -z y": ("y down", 2.5), "y z x": ("x up", 2.5), "z -y x": ("x down", 2.5),
 }  # fmt: skip
+MISFITS = ("misfit", "inconsistent")  # findings that nothing proposed explains: then no frame is sure
+KEY_LETTERS = {key: letter for letter, key in KEYS.items()}
+AGAINST_NAMES = 2.0  # cost of a quaternion whose columns are not what they are called
 PLAIN = {"order": "wxyz", "direction": "body_to_world"}
 BODIES = ("FLU", "FRD", "z x y", "x z -y", "y z x", "z -y x")
 # Units of position and velocity: gain of the velocity over the derivative.
@@ -313,17 +316,19 @@ class _Proposals:
         ]
         scored.sort(key=lambda pair: -pair[0])
         value, best = scored[0]
-        mends = [candidate for candidate in explain(best.apply(log))[0] if candidate.blocks]
-        mends = [
-            candidate for candidate in mends if not (still and "acceleration" in candidate.correction)
-        ]  # nor what is left of it
+        taken, findings = explain(best.apply(log))
+        mends = [candidate for candidate in taken if candidate.blocks]
+        if still:  # nor what is left of it
+            mends = [candidate for candidate in mends if "acceleration" not in candidate.correction]
+        misfit = next((f"; but {each.where}: {each.measured}" for each in findings if each.name in MISFITS), "")
         for key in ("world", "body", "attitude"):
             chosen = best.correction.get(key)
             others = [(v, candidate) for v, candidate in scored if candidate.correction.get(key) != chosen]
             behind, rival = max(others, key=lambda pair: pair[0], default=(value - 2 * MARGIN, best))
             text = f"log likelihood {value - behind:.1f} above that of {flow(rival.correction.get(key, PLAIN))}"
-            sure = SURE if value - behind >= MARGIN else GUESS
-            text += "" if sure == SURE else ": decide between both"
+            near = value - behind < MARGIN
+            text += (": decide between both" if near else "") + misfit
+            sure = GUESS if near or misfit else SURE
             if key == "attitude":
                 lines, confidence, why = self.fields[key]
                 chosen = _of_columns(chosen or {}, best.correction)
@@ -331,11 +336,12 @@ class _Proposals:
             else:
                 about = WORLDS[str(chosen)][0] if key == "world" else "where the thrust points along z"
                 self.fields[key] = Proposal(chosen, sure, f"{about}; {text}")
-        for key in {"velocity", "acceleration"} & best.correction.keys():
+        for key in {"velocity", "acceleration", "rate"} & best.correction.keys():
             self.fields[key].value.update(best.correction[key])
         if mends:
             why = "; ".join(f"{candidate.where}: {candidate.text}" for candidate in mends)
-            self.fields["corrections"] = Proposal([candidate.correction for candidate in mends], SURE, why)
+            corrections = [candidate.correction for candidate in mends]
+            self.fields["corrections"] = Proposal(corrections, GUESS if misfit else SURE, why + misfit)
 
     def _conventions(self) -> list[Candidate]:
         """Every order and direction of the quaternion in every frame."""
@@ -346,11 +352,17 @@ class _Proposals:
             signs = ([1, -1, 1], [-1, 1, 1], [1, 1, -1], [-1, -1, 1], [1, -1, -1], [-1, 1, -1])
             readings += [({"angles": each}, 0.6 + 0.2 * each.count(-1)) for each in signs]
         if len(columns) == 4:
-            readings += [(lines, cost) for *_, lines, cost in READINGS[:3] if not (fixed and "order" in lines)]
+            for *_, lines, cost in READINGS[:3]:
+                against_names = AGAINST_NAMES if fixed and "order" in lines else 0.0
+                readings.append((lines, cost + against_names))
         turned = [{}, {"velocity": {"frame": "body"}}] if "v" in self.streams else [{}]
         turned += [{"acceleration": {"frame": "world"}}] if "f" in self.streams else []
+        for key in ("acceleration", "rate"):  # one sensor in a frame of its own
+            turned += [{key: {"frame": name}} for name in BODIES[:2] if KEY_LETTERS[key] in self.streams]
         conventions = []
         for (lines, cost), (world, (_, more)), body, frame in product(readings, WORLDS.items(), BODIES, turned):
+            if any(line["frame"] == body for line in frame.values()):
+                continue
             correction = {"world": world, "body": body, **({"attitude": lines} if lines else {}), **frame}
             conventions.append(Candidate("", "pqvwf", "", correction, cost + more + bool(frame)))
         return conventions

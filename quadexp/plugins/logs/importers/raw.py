@@ -9,6 +9,7 @@ A stream's time is the log's own (s), its values are (k, m).
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -139,7 +140,9 @@ def _attitude(entry: Entry, values: np.ndarray) -> np.ndarray:
         q = q * np.array([1.0, -1.0, -1.0, -1.0])
     q = turn_attitude(q, entry.world, entry.axes)
     if min(entry.angles) < 0:
-        yaw, pitch, roll = Rotation.from_quat(q, scalar_first=True).as_euler("ZYX").T
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # nose straight up: yaw and roll are one angle
+            yaw, pitch, roll = Rotation.from_quat(q, scalar_first=True).as_euler("ZYX").T
         angles = np.column_stack([yaw, pitch, roll]) * np.array(entry.angles[::-1])
         q = Rotation.from_euler("ZYX", angles).as_quat(scalar_first=True)
     if entry.turn:
