@@ -9,7 +9,7 @@ is less than search.MARGIN log units behind, the line is a guess that asks which
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -50,6 +50,12 @@ WORLDS = {  # frame of the log's world: what it is, cost
 }  # fmt: skip
 MISFITS = ("misfit", "inconsistent")  # findings that nothing proposed explains: then no frame is sure
 KEY_LETTERS = {key: letter for letter, key in KEYS.items()}
+SENSORS_APART: tuple[tuple[str, dict[str, Any]], ...] = (
+    *((key, {"frame": frame}) for key in ("acceleration", "rate") for frame in ("FLU", "FRD")),
+    ("acceleration", {"frame": "world"}), ("acceleration", {"kind": "coordinate"}),
+    ("acceleration", {"frame": "world", "kind": "coordinate"}),
+)  # fmt: skip
+OF_ALL = 40  # conventions of all streams, the likeliest, with which those of single sensors are tried
 AGAINST_NAMES = 2.0  # cost of a quaternion whose columns are not what they are called
 PLAIN = {"order": "wxyz", "direction": "body_to_world"}
 BODIES = ("FLU", "FRD", "z x y", "x z -y", "y z x", "z -y x")
@@ -143,7 +149,7 @@ def _clock(path: Path, names: list[str], data: np.ndarray) -> tuple[int, Proposa
     for i, values in enumerate(data.T):
         values = values[np.isfinite(values)]
         steps = np.diff(values)
-        if len(values) < max(20, 0.5 * len(data)) or (steps < 0).mean() > 0.01 or (steps > 0).mean() < 0.3:
+        if len(values) < max(20, 0.5 * len(data)) or (steps < 0).mean() > 0.05 or (steps > 0).mean() < 0.3:
             continue
         counter = bool((steps == steps[0]).all() and steps[0] == 1.0 and values[0] in (0.0, 1.0))
         even = float(np.median(np.abs(steps - np.median(steps))) / max(np.median(steps), 1e-300))
@@ -311,9 +317,9 @@ class _Proposals:
         if still:
             log = Windows(log.t, {**self.streams, "v": np.zeros((*log.t.shape, 3))})
         few = log.every(max(1, len(log.t) // FEW))
-        scored = [
-            (value, candidate) for candidate in self._conventions() if (value := _explained(candidate, few)) is not None
-        ]
+        scored = _ranked(self._conventions(), few)
+        likely = [candidate for _, candidate in scored[:OF_ALL]]
+        scored += _ranked([other for candidate in likely for other in self._with_a_sensor_apart(candidate)], few)
         scored.sort(key=lambda pair: -pair[0])
         value, best = scored[0]
         taken, findings = explain(best.apply(log))
@@ -356,16 +362,21 @@ class _Proposals:
                 against_names = AGAINST_NAMES if fixed and "order" in lines else 0.0
                 readings.append((lines, cost + against_names))
         turned = [{}, {"velocity": {"frame": "body"}}] if "v" in self.streams else [{}]
-        turned += [{"acceleration": {"frame": "world"}}] if "f" in self.streams else []
-        for key in ("acceleration", "rate"):  # one sensor in a frame of its own
-            turned += [{key: {"frame": name}} for name in BODIES[:2] if KEY_LETTERS[key] in self.streams]
         conventions = []
         for (lines, cost), (world, (_, more)), body, frame in product(readings, WORLDS.items(), BODIES, turned):
-            if any(line["frame"] == body for line in frame.values()):
-                continue
             correction = {"world": world, "body": body, **({"attitude": lines} if lines else {}), **frame}
             conventions.append(Candidate("", "pqvwf", "", correction, cost + more + bool(frame)))
         return conventions
+
+    def _with_a_sensor_apart(self, candidate: Candidate) -> list[Candidate]:
+        """The same, with one sensor in a frame of its own, or an accelerometer without gravity."""
+        others = []
+        for key, lines in SENSORS_APART:
+            letter = KEY_LETTERS[key]
+            if letter in self.streams and lines.get("frame") != candidate.correction["body"]:
+                correction = candidate.correction | {key: lines}
+                others.append(replace(candidate, correction=correction, cost=candidate.cost + len(lines)))
+        return others
 
     def _body_by_gravity(self) -> None:
         """The body's frame where there is no attitude to check it with."""
@@ -428,6 +439,13 @@ def _of_columns(reading: dict[str, Any], frames: Mapping[str, Any]) -> dict[str,
     signs = reading.get("angles")
     plain = (frames["world"], frames["body"]) in (("ENU", "FLU"), ("NED", "FRD"))
     return {"scale": signs} if signs and plain and signs[2] == 1 else reading
+
+
+def _ranked(conventions: Sequence[Candidate], windows: Windows) -> list[tuple[float, Candidate]]:
+    """Those in which the thrust is along z, each with its evidence, the likeliest first."""
+    scored = [(_explained(candidate, windows), candidate) for candidate in conventions]
+    known = [(value, candidate) for value, candidate in scored if value is not None]
+    return sorted(known, key=lambda pair: -pair[0])
 
 
 def _explained(candidate: Candidate, windows: Windows) -> float | None:

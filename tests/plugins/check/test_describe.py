@@ -130,6 +130,17 @@ def test_one_sensor_is_in_frd(truth, tmp_path, sensor):
     np.testing.assert_allclose(flight.stack(["w_x", "w_y", "w_z"]), truth.w, atol=2e-5)
 
 
+def test_gravity_taken_out_of_a_fast_flight(truth, tmp_path):
+    """Its mean size is as large as gravity."""
+    log = columns_of(truth) | logs._named("qw|qx|qy|qz", truth.q)
+    motion = truth.R.apply(3 * truth.R.apply(truth.acc) - [0, 0, 3 * G], inverse=True)
+    log |= {f"acc_{axis}": motion[:, i] for i, axis in enumerate("xyz")}
+    log |= {f"{name}_{axis}": 3 * log[f"{name}_{axis}"] for name in "pv" for axis in "xyz"}
+    found = describe_log(logs.write_csv(tmp_path / "a.csv", log))
+    assert found.fields["acceleration"].value["kind"] == "coordinate"
+    assert "frame" not in found.fields["acceleration"].value
+
+
 def test_a_quaternion_whose_columns_are_not_what_they_are_called(truth, tmp_path):
     """qw, qx, qy, qz hold x, y, z, w."""
     log = columns_of(truth) | logs._named("qw|qx|qy|qz", truth.q[:, [1, 2, 3, 0]])

@@ -64,7 +64,8 @@ def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes
     if len(back) and lost > max(2, MOST_LATE * len(t)):
         row = int(back[0]) + 1
         text = f"({t[row - 1]:.9g} -> {t[row]:.9g} s; {lost} of {len(t)} rows are out of order)"
-        raise DataError(f"{path}: {name}: time goes backwards at row {row} {text}")
+        way = "sort its rows by time, or cut the log there if its clock was set anew"
+        raise DataError(f"{path}: {name}: time goes backwards at row {row} {text}: {way}")
     if lost:
         what = "repeat a time or go back in it" if len(back) else "repeat the time of the row before"
         notes.append(f"{name}: {lost} of {len(t)} rows ({lost / len(t):.1%}) {what}: dropped")
