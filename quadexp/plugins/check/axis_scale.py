@@ -183,7 +183,7 @@ def axis_candidates(windows: Windows, *, small: bool = False) -> list[Candidate]
 
 def _may_lean(gain: Gains) -> np.ndarray:
     """Axes beside the thrust, (3,), whose factor is sure, and so small that an attitude may have made it."""
-    size = np.abs(gain.size - 1)[:3]
+    size = np.abs(gain.high - 1)[:3]  # of which LATERAL_SAID is
     sure = gain.apart(np.full(4, LEAST["force"]))[:3]
     return sure & (size > LATERAL) & (size * gain.signal[:3] > LATERAL_SAID) & np.array([True, True, False])
 
