@@ -172,6 +172,15 @@ class Trial:
         was, stays = (sum(side[name].excess for name in self.better) for side in (self.before, self.after))
         return float(np.sqrt(stays / was)) if was > 0 else 1.0
 
+    @property
+    def within_floors(self) -> bool:
+        """Whether what it betters was no more than sensors differ by: of a slow flight, where it is a warning."""
+        return all(self.before[name].excess == 0 for name in self.better)
+
+    @property
+    def as_warning(self) -> Trial:
+        return replace(self, candidate=replace(self.candidate, severity="warning"))
+
     def shrinks(self, share: float, names: Sequence[str], axes: Sequence[int] = (0, 1, 2)) -> bool:
         """Whether of one of these relations less than this share of the residual is left, along these axes."""
         for name in set(names) & self.after.keys():
@@ -260,6 +269,7 @@ def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
                 break
             trials = _ranked(windows, before, taken)
             named = [trial for trial in trials if trial.left < MOST_LEFT or trial.measured]
+            named = named or [trial.as_warning for trial in trials if trial.within_floors]
             if trials and not named:
                 findings.append(_unexplained(trials[0]))
         if not named:

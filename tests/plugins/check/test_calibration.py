@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from benchmarks import log_faults
 from quadexp.log.schema import Flight
 from quadexp.plugins.check.axis_scale import gains
 from quadexp.plugins.check.quality import check_flight
@@ -155,6 +156,25 @@ def test_on_a_circle_a_late_pose_is_named_before_a_turn():
     """60 ms at 1.25 rad/s is a turn of 4.3 deg: the flight does not tell, both are named, the delay first."""
     (found,) = named(delayed(circle(), [*P, *V, *Q], 0.06))
     assert found.name == "time_offset" and "turned by 4.3 deg" in found.measured and "mounting" in found.advice
+
+
+def test_a_sensor_turned_by_90_degrees_in_a_slow_flight_is_warned_of(monkeypatch):
+    """It differs by no more than sensors do, but the air along the wrong axis says which way it stands."""
+    monkeypatch.setattr(log_faults, "AMPLITUDES", 0.3 * log_faults.AMPLITUDES)
+    rng = np.random.default_rng(11)
+    log = {name: values[::10] for name, values in log_faults.truth(rng, 0.01, 0.03).items()}
+    air = (log["t"] > 15) & (log["t"] < 65)
+    columns = {"t": log["t"][air]}
+    for names, letter in ((P, "p"), (V, "v"), (W, "w"), (ACC, "f"), (Q, "q")):
+        values = log[letter][air]
+        noisy = values + log_faults.NOISE.get(letter, 0.001) * rng.standard_normal(values.shape)
+        columns |= {name: noisy[:, i] for i, name in enumerate(names)}
+    slow = Flight(columns, {"recorded": True})
+    assert not named(slow)
+    quarter = Rotation.from_euler("z", 90, degrees=True).as_matrix()
+    (found,) = named(changed(turned(quarter, ACC), slow))
+    assert (found.name, found.severity) == ("axis_swap", "warning")
+    assert found.correction == {"acceleration": {"frame": "body y -x z"}}
 
 
 def test_a_late_attitude_alone_is_no_turn():
