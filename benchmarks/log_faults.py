@@ -28,7 +28,6 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.messages import yaml
 from quadexp.plugins.identification.vehicle_model import FitSettings, fit_vehicle_model
-from quadexp.plugins.logs.command_lag import find_lag
 from quadexp.plugins.logs.import_flights import Outcome, import_files
 from quadexp.plugins.logs.importers import Options
 from quadexp.plugins.logs.samples import gather, gather_to_fit
@@ -238,8 +237,7 @@ def identified(flight: Flight) -> dict[str, Any]:
     samples = gather_to_fit([flight], None, ["log"])
     model = fit_vehicle_model([flight], None, FitSettings(), names=["log"], samples=samples, best="linear")
     found: dict[str, Any] = {"terms": model.models["linear"].records()}
-    raw = gather([flight], "motor_command", ["log"])
-    late = find_lag(raw.time, raw.segment, raw.signal, raw.force[:, 2], raw.velocity, raw.held)
+    late = gather([flight], "motor_command", ["log"]).command_lag()
     if late is not None:
         found["delay"] = late.dead_time + late.lag
         found["delay_interval"] = late.intervals[2].tolist()

@@ -23,7 +23,7 @@ from quadexp.physics.vehicle import GRAVITY
 from quadexp.plugins.logs.importers.mapping import IN_BODY, Crop, Entry, Mapping
 from quadexp.plugins.logs.importers.table import Table
 from quadexp.plugins.logs.signal import Stream, increasing
-from quadexp.plugins.logs.signal.windows import multiply
+from quadexp.plugins.logs.signal.windows import rotations
 
 MOST_LATE = 0.01  # share of the rows that may lie out of order
 
@@ -147,7 +147,7 @@ def _attitude(entry: Entry, values: np.ndarray) -> np.ndarray:
         angles = np.column_stack([yaw, pitch, roll]) * np.array(entry.angles[::-1])
         q = Rotation.from_euler("ZYX", angles).as_quat(scalar_first=True)
     if entry.turn:
-        q = multiply(np.array([np.cos(entry.turn / 2), 0.0, 0.0, np.sin(entry.turn / 2)]), q)
+        q = norms(q)[:, None] * (Rotation.from_euler("z", entry.turn) * rotations(q)).as_quat(scalar_first=True)
     return q
 
 
@@ -160,9 +160,8 @@ def turn_attitude(q: np.ndarray, world: np.ndarray, body: np.ndarray) -> np.ndar
         mirror = np.diag([1.0, 1.0, -1.0])
         mirrored = q * np.array([1.0, -1.0, -1.0, 1.0])
         return turn_attitude(mirrored, world @ mirror, body @ mirror)
-    w = Rotation.from_matrix(world).as_quat(scalar_first=True)
-    b = Rotation.from_matrix(body.T).as_quat(scalar_first=True)
-    return multiply(multiply(w, q), b)
+    turned = Rotation.from_matrix(world) * rotations(q) * Rotation.from_matrix(body.T)
+    return norms(q)[:, None] * turned.as_quat(scalar_first=True)
 
 
 def _turned_to_frame(streams: dict[str, Stream], entries: dict[str, Entry]) -> dict[str, Stream]:
