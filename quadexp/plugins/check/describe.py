@@ -42,6 +42,7 @@ TUM = ["t", "x", "y", "z", "qx", "qy", "qz", "qw"]  # of a trajectory without a 
 COUNTS_PER_DEGREE = (16.4, 32.8, 65.5, 131.0)
 APART = 0.03  # of the logarithm: how near a gain is to a unit that is sure
 LEAST_SAMPLES = 50  # of a column; of fewer a correlation of 0.3 may be chance
+FULL_TURN, UPSIDE = 6.4, 1.6  # rad: larger angles are degrees; roll and pitch that stay below it are not
 FEW = 60  # windows that every frame is tried on
 SURE, LIKELY, GUESS = 0.95, 0.7, 0.4  # shares shown to a user; nothing is decided by them
 WORLDS = {  # frame of the log's world: what it is, cost
@@ -240,14 +241,8 @@ class _Proposals:
             x = table.windows[..., attitude]
             self.streams["q"] = continuous(x.reshape(-1, 4)).reshape(x.shape)
             self.propose("attitude", attitude, GUESS, "norm 1", **PLAIN)
-        for columns in table.named.get("euler", [])[:1] if attitude is None else ():
-            largest = float(np.abs(table.x[:, columns]).max())
-            unit = self.written(columns, "angle") or ("deg" if largest > 6.4 else "rad")
-            self.propose("attitude", columns, 0.5, f"named so; largest {largest:.3g}", order="rpy", unit=unit)
-            if largest > 0:
-                angles = table.windows[..., columns[::-1]] * UNITS["angle"][unit]
-                q = Rotation.from_euler("ZYX", angles.reshape(-1, 3)).as_quat(scalar_first=True)
-                self.streams["q"] = continuous(q).reshape(*angles.shape[:2], 4)
+        if attitude is None and table.named.get("euler"):
+            self._angles(table.named["euler"][0])
         v = self.streams.get("v")
         if v is None and "p" in self.streams:
             p = table.x[:, self.places["position"]] * UNITS["length"][self.fields["position"].value["unit"]]
@@ -261,6 +256,21 @@ class _Proposals:
             self._rate(rate.columns, 1 / rate.gain, f"correlation {rate.correlation:.3f} with the attitude's rate")
         elif named:
             self._rate(named[0], None, "by its name")
+
+    def _angles(self, columns: list[int]) -> None:
+        """Roll, pitch and yaw, their unit by their size; a yaw in degrees may stand beside roll and pitch in rad."""
+        angles, largest = self.table.windows[..., columns], np.abs(self.table.x[:, columns]).max(axis=0)
+        written, lines = self.written(columns, "angle"), dict[str, Any]()
+        unit = written or ("deg" if largest.max() > FULL_TURN else "rad")
+        factor = np.full(3, UNITS["angle"][unit])
+        if written is None and largest[:2].max() < UPSIDE and largest[2] > FULL_TURN:
+            unit, factor = "rad", np.array([1.0, 1.0, UNITS["angle"]["deg"]])
+            lines = {"scale": [1.0, 1.0, float(f"{factor[2]:.7g}")]}
+        why = f"named so; largest {', '.join(f'{x:.3g}' for x in largest)}"
+        self.propose("attitude", columns, 0.5, why, order="rpy", unit=unit, **lines)
+        if largest.max() > 0:
+            turns = Rotation.from_euler("ZYX", (angles * factor)[..., ::-1].reshape(-1, 3))
+            self.streams["q"] = continuous(turns.as_quat(scalar_first=True)).reshape(*angles.shape[:2], 4)
 
     def _rate(self, columns: list[int], gain: float | None, why: str) -> None:
         """Unit of a gyro: by its gain (rad/s a unit), or where nothing can be compared by its name or size."""
@@ -338,6 +348,8 @@ class _Proposals:
             if key == "attitude":
                 lines, confidence, why = self.fields[key]
                 chosen = _of_columns(chosen or {}, best.correction)
+                if "scale" in chosen and "scale" in lines:
+                    chosen = {"scale": [a * b for a, b in zip(chosen["scale"], lines["scale"], strict=True)]}
                 self.fields[key] = Proposal({**lines, **chosen}, max(sure, confidence), f"{why}; {text}")
             else:
                 about = WORLDS[str(chosen)][0] if key == "world" else "where the thrust points along z"

@@ -48,6 +48,7 @@ MEASURED = ("scale", "heading")
 CALIBRATIONS = {"mounting", "bias", "scale"}
 MOVES = ("velocity", "rate", "force", "force (p)")  # relations whose both sides move
 MISFIT = 3.0  # floors: what is left of a relation's axis beyond is said, whatever was found
+INCONSISTENT = "compare the mapping with what `quadexp import --describe LOG` proposes, or leave the stream out of it"
 FEW, FINALISTS = 100, 10  # every candidate is tried on so many windows first, the best ones on all
 STRAY = 12.0  # robust standard deviations
 STRAY_FLOOR = {"acceleration_outlier": 8.0, "rate_outlier": 4.0}  # m/s^2 and rad/s, means over a window
@@ -289,7 +290,7 @@ def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
                 f"{relation.words}, correlation {relation.correlation:.2f}; no change of unit, frame or sign mends it"
             )
             allowed = f"{DISAGREE:.0%} of the signal"
-            findings.append(Finding("inconsistent", "blocking", relation.columns, text, allowed))
+            findings.append(Finding("inconsistent", "blocking", relation.columns, text, allowed, INCONSISTENT))
     small, before = _small_factors(windows, before, taken)
     findings += small
     return taken, findings + _misfits(before, findings)
@@ -298,12 +299,18 @@ def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
 def _rival(best: Trial, named: list[Trial]) -> Trial | None:
     """The next best explanation, where it lies less than MARGIN behind."""
     for trial in named:
-        near = trial is not best and best.value - trial.value < MARGIN
+        near = best.value - trial.value < MARGIN and not _same(trial, best)
         if near and best.candidate.blocks and trial.conventional and trial.candidate.blocks:
             return trial
         if near and trial.candidate.fault != best.candidate.fault and best.competes(trial):
             return trial
     return None
+
+
+def _same(trial: Trial, best: Trial) -> bool:
+    """Whether both say one thing: a unit, and the factor that it is."""
+    factors = {trial.candidate.fault, best.candidate.fault} == {"units", "scale"}
+    return trial is best or (factors and trial.candidate.streams == best.candidate.streams)
 
 
 def _small_factors(windows: Windows, before: Agreements, taken: list[Candidate]) -> tuple[list[Finding], Agreements]:

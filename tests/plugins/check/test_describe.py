@@ -193,6 +193,15 @@ def test_signs_of_roll_pitch_and_yaw_that_wraps(truth, tmp_path, signs):
     assert ((turn * truth.R).inv() * got).magnitude().max() < 1e-5
 
 
+def test_a_yaw_in_degrees_beside_roll_and_pitch_in_rad(truth, tmp_path):
+    angles = truth.R.as_euler("ZYX")[:, ::-1] * [1.0, -1.0, 180 / np.pi]  # and a pitch that is positive nose up
+    log = columns_of(truth) | {name: angles[:, i] for i, name in enumerate(("roll", "pitch", "yaw"))}
+    found, flight = imported(logs.write_csv(tmp_path / "a.csv", log), tmp_path)
+    assert found.fields["attitude"].value["unit"] == "rad"
+    got = Rotation.from_quat(flight.stack([f"q_{axis}" for axis in "wxyz"]), scalar_first=True)
+    assert (truth.R.inv() * got).magnitude().max() < 1e-4
+
+
 @pytest.mark.parametrize("rows", [1990, 1991])
 def test_a_quaternion_with_w_above_zero_is_continued(truth, tmp_path, rows):
     """Its sign jumps where the nose points west; rows: whether the samples looked at lie between those of the log."""
