@@ -213,7 +213,8 @@ def scale_candidates(gain: float, streams: str) -> tuple[Candidate, ...]:
 
 
 # ----------------------------------------------------------------------------------------------------- bias and heading
-BIAS = {"w": ("rate", 0.03, "rad/s"), "f": ("force", 0.5, "m/s^2")}  # by stream: relation, the least that is named
+# By stream: relation, the least bias that is named, the largest that a sensor has, unit.
+BIAS = {"w": ("rate", 0.03, 1.0, "rad/s"), "f": ("force", 0.5, 3.0, "m/s^2")}
 BIAS_SURE = 5.0  # standard errors
 FORCE_SCALE_BLOCKS = 0.08  # what a bias along z looks like
 LEAST_YAW, YAW_BLOCKS = 2.0, 8.0  # deg
@@ -223,7 +224,7 @@ def bias_candidates(windows: Windows) -> list[Candidate]:
     """A constant that a gyro or an accelerometer adds, where the flight shows one."""
     known = {pair.name: pair for pair in pairs(windows)}
     candidates = []
-    for stream, (relation, least, unit) in BIAS.items():
+    for stream, (relation, least, most, unit) in BIAS.items():
         pair = known.get(relation) or known.get(f"{relation} (p)")
         if pair is None:
             continue
@@ -232,7 +233,7 @@ def bias_candidates(windows: Windows) -> list[Candidate]:
         medians = np.array([np.median(gap[stretch == k], axis=0) for k in np.unique(stretch)])
         error = medians.std(axis=0, ddof=1) / np.sqrt(len(medians)) if len(medians) > 2 else np.full(3, np.inf)
         bias = np.where(np.abs(np.median(gap, axis=0)) > BIAS_SURE * error, np.median(gap, axis=0), 0.0)
-        if np.abs(bias).max() < least:
+        if not least <= np.abs(bias).max() <= most:
             continue
         offset = [float(f"{x:.3g}") + 0.0 for x in bias]
         text = f"a bias of {', '.join(f'{x:g}' for x in offset)} {unit}"

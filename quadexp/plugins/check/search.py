@@ -202,6 +202,8 @@ class Trial:
         unusual = fault in ("axis_swap", "sign_flip", "units") and all(name.startswith("thrust") for name in better)
         if unusual and not self.shrinks(CLEAR, better):
             return False
+        if fault == "units" and self.candidate.streams == "f" and self.shrinks(CLEAR, ("force", "force (p)")):
+            return True  # gravity says it, whichever way the sensor stands
         return any(after[name].ratio < DISAGREE and after[name].size > MOVING * after[name].floor for name in better)
 
     def _more_than_nothing(self) -> bool:

@@ -84,7 +84,9 @@ def _candidate(streams: str, known: Sides, windows: int, words: str) -> Candidat
         medians = np.array([np.median(part, axis=0) for part in _by_stretch(gap, windows)])
         uncertain = medians.std(axis=0, ddof=1) / np.sqrt(len(medians))
         bias = np.where(np.abs(bias) > BIAS_SURE * uncertain, bias, 0.0)
-        _, least, unit = BIAS[name]
+        _, least, most, unit = BIAS[name]
+        if np.abs(bias).max() > most:  # it is another fault that looks like one
+            return None
         if np.abs(bias).max() < least:
             continue
         offset = [float(f"{x:.3g}") + 0.0 for x in bias]

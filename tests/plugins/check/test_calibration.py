@@ -142,6 +142,19 @@ def check_bias(flight):
     return np.mean(y - x, axis=0)
 
 
+def test_an_accelerometer_in_g_that_is_turned_has_no_bias_of_g(flight):
+    """The unit is named, and which way both sensors stand: a constant of 9 m/s^2 is no bias of a sensor."""
+    quarter = Rotation.from_euler("z", 90, degrees=True).as_matrix()
+    in_g = changed(
+        times(ACC, np.full(3, 1 / 9.80665)), changed(turned(quarter, ACC), changed(turned(quarter, W), flight))
+    )
+    found = [one for one in named(in_g) if one.correction]
+    assert not any("offset" in lines for one in found for lines in one.correction.values())
+    lines = [one.correction for one in found]
+    assert {"acceleration": {"unit": "g"}} in lines and {"acceleration": {"frame": "body y -x z"}} in lines
+    assert {"rate": {"frame": "body y -x z"}} in lines and len(lines) == 3
+
+
 def test_a_turn_and_a_bias_at_once(flight):
     turn = Rotation.from_euler("x", 6, degrees=True).as_matrix()
     tilted = changed(turned(turn.T, ACC), flight)
