@@ -26,6 +26,8 @@ from quadexp.plugins.logs.signal import Stream, increasing
 from quadexp.plugins.logs.signal.windows import rotations
 
 MOST_LATE = 0.01  # share of the rows that may lie out of order
+MEASURED = ("position", "attitude", "velocity", "rate", "acceleration")
+REGULAR, LEAST_CHANGES = 0.9, 20  # share of the changes that come evenly; changes
 
 
 @dataclass
@@ -78,6 +80,29 @@ def sorted_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, note
     return clean_stream(path, name, t[order], values[order], notes)
 
 
+def without_repeats(name: str, stream: Stream, notes: list[str]) -> Stream:
+    """A stream that is slower than its table, which repeats every value until the next one comes: on its own clock,
+    else what is derived from it goes in steps. What was left out is noted.
+
+    They come evenly: those of a coarse sensor, or of a vehicle that stands, do not. (Where the table's rate is no
+    multiple of the stream's, the times of its values are not known to a row, and it stays as it is.)
+    """
+    t, values = stream
+    changes = np.flatnonzero((values[1:] != values[:-1]).any(axis=1)) + 1
+    if len(changes) < LEAST_CHANGES:
+        return stream
+    apart = np.diff(changes)
+    every = int(np.median(apart))
+    if every < 2 or np.mean(apart == every) < REGULAR:
+        return stream
+    first = np.concatenate([[0], changes])
+    since = np.arange(len(t)) - np.repeat(first, np.diff(np.append(first, len(t))))
+    kept = since % every == 0  # what stands still for longer is no gap
+    rate = 1 / (every * float(np.median(np.diff(t))))
+    notes.append(f"{name}: each value stands for {every} rows: taken as a stream of {rate:.3g} Hz")
+    return Stream(t[kept], values[kept])
+
+
 def read_mapped(table: Table, mapping: Mapping) -> RawLog:
     """Read a table by a mapping. Raises DataError naming the column that is missing or is not a number."""
     notes: list[str] = []
@@ -92,6 +117,8 @@ def read_mapped(table: Table, mapping: Mapping) -> RawLog:
             t = t * clock.factor
         values = np.column_stack([columns[column] for column in entry.columns])
         stream = clean_stream(table.path, f"{name} ({', '.join(entry.columns)})", t, values, notes)
+        if name in MEASURED:
+            stream = without_repeats(name, stream, notes)
         log.streams[name] = _convert(name, entry, stream)
         later = {mapping.clock.column}
         for other in list(mapping.entries.values())[i + 1 :]:
