@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadexp.physics.vehicle import GRAVITY
-from quadexp.plugins.check.candidates import COLUMNS, KEYS, STRETCHES, Candidate, world_acceleration
+from quadexp.plugins.check.candidates import COLUMNS, KEYS, Candidate, stretches_of, world_acceleration
 from quadexp.plugins.logs.signal.windows import UP, Windows, means, pairs, weighted
 from quadexp.plugins.logs.units import UNITS
 
@@ -97,7 +97,7 @@ def gains(x: np.ndarray, y: np.ndarray, windows: int, halves: Sides | None = Non
         kept = _near(y - np.where(correlation[:3] > LEAST_CORRELATION, middle, 1.0) * x)
     both = kept.reshape(-1, windows).all(axis=0)
     of_halves = [side.reshape(-1, windows, 3)[:, both] for side in halves or (x, y)]
-    stretch = (np.arange(len(x)) % windows * STRETCHES // windows)[kept]
+    stretch = stretches_of(len(x), windows)[kept]
     x, y = x[kept], y[kept]
     low, high, correlation = _regressions(x, y)
     size = _by_instrument(*of_halves) if len(of_halves[0]) == 2 else np.sqrt(np.maximum(low * high, 0.0))
