@@ -2,6 +2,7 @@
 
 import gc
 import os
+import signal
 import tempfile
 from collections import Counter
 from collections.abc import Generator
@@ -22,7 +23,10 @@ from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.rotor import BladeCoefficients, RotorGeometry
 from quadexp.physics.vehicle import Vehicle
 from tests import composing  # noqa: F401 - before any test binds what it replaces
+from tests.deleted import pytest_ignore_collect, pytest_make_collect_report, pytest_runtest_makereport  # noqa: F401
 
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's background, and so in all that is started here
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 gc.set_threshold(200_000, 20, 100)  # looking for cycles was a tenth of the tests' work
 
 

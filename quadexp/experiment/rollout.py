@@ -204,7 +204,10 @@ def fly(
             shares[k] = reference.residual_share
             error = x[POSITION] - state_reference[POSITION]
             distance = math.sqrt(error.dot(error))
-            if not distance <= lost_distance:
+            if math.isnan(distance):
+                outcome, cause = "lost", f"the plant's state is not finite at t={t:.2f} s"
+                break
+            if distance > lost_distance:
                 outcome, cause = "lost", f"{distance:.1f} m from the reference at t={t:.2f} s"
                 break
             if box is not None and not (box[0] <= x[POSITION]).all() & (x[POSITION] <= box[1]).all():

@@ -187,8 +187,8 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
         """
         raise UsageError(f"{residual.source}: {self.kind} states no variance to fall back by; a GP does")
 
-    def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
-        """The residual with weights that adapt in flight. deviation: of the prior, m/s^2; None: that of the fit.
+    def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float) -> Adapting:
+        """The residual with weights that adapt in flight. deviation: of the prior, m/s^2.
 
         Raises UsageError where the model has none.
         """

@@ -104,8 +104,7 @@ class LinearDrag(Model, frozen=True, tag="linear_drag"):
         self.require(part, source)
         return linear_drag_residual(vehicle, self.drag, self.intercept, self.thrust_gain, source=source)
 
-    def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
-        assert deviation is not None
+    def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float) -> Adapting:
         return adapting_drag(vehicle, residual, deviation)
 
     def refitted(self, rows: ResidualDataset) -> LinearDrag:

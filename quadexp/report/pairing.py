@@ -44,6 +44,7 @@ What = TypeVar("What", bound=Hashable)
 Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")
 Row = Mapping[str, Any]
+Rows = Sequence[Row]
 World = tuple[str, str]  # plant, vehicle
 BASELINE = "nominal_mpc"
 BOUNDS = ("perfect_", "oracle_")  # controllers that know the true plant: they are not ranked

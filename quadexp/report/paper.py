@@ -16,6 +16,8 @@ from quadexp.writer import write_text
 
 STANDARD = "standard"  # no figures but the standard ones
 
+Drawn = tuple[dict[str, str], dict[str, Any]]  # tables and figures, see the module
+
 
 def check(name: str) -> None:
     """Raise UsageError where there is no module of this name; nothing is imported."""

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.errors import QuadexpError
+from quadexp.log.outcome import COMPLETED
 from quadexp.log.store import read_table, read_text, write_table
 from quadexp.names import distinct
 from quadexp.parts.cells import OPTION
@@ -102,6 +103,13 @@ def _row_of(s: Statistic) -> dict[str, Any]:
     return {**{n: getattr(s, n) for n in names}, "variant": f"{s.variant} {s.setting}".strip()}
 
 
+def without_number(results: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
+    """A line that says of how many completed flights a metric is no number; none where it is one of all."""
+    completed = [row.get(metric) for row in results if row["outcome"] in COMPLETED]
+    missing = sum(value in (None, "") or math.isnan(float(value)) for value in completed)
+    return [f"{metric} is no number in {missing} of {len(completed)} completed flights"] if missing else []
+
+
 def error_table(
     results: Sequence[Mapping[str, Any]],
     metric: str = "mean_error",
@@ -150,7 +158,7 @@ def error_table(
         for line in sorted(places, key=lambda line: places[line])
     ]
     heads = ["trajectory", "m/s", *(heading for heading, _ in shown_as.values()), *flown]
-    notes = (*notes, *row_notes(results))
+    notes = (*notes, *without_number(results, metric), *row_notes(results))
     return Table(heads, [counts, *lines], title, head=1, over=title, notes=notes, beside=beside)
 
 

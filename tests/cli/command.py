@@ -8,11 +8,13 @@ import sys
 from typer.testing import CliRunner
 
 from quadexp.cli.app import app, main
+from tests.deleted import skip_if_it_says_so
 
 
 def run(*arguments):
     """Exit code, output, error output."""
     done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    skip_if_it_says_so(done.stderr)
     return done.exit_code, done.stdout, done.stderr
 
 
@@ -30,5 +32,6 @@ def run_main(*words) -> subprocess.CompletedProcess:
         (sys.stdout, sys.stderr), sys.argv = streams, argv
         for number, handler in usual.items():
             signal.signal(number, handler)
-    texts = (stream.buffer.getvalue().decode(errors="surrogateescape") for stream in (out, err))
+    texts = [stream.buffer.getvalue().decode(errors="surrogateescape") for stream in (out, err)]
+    skip_if_it_says_so(texts[1])
     return subprocess.CompletedProcess(list(words), code, *texts)

@@ -12,6 +12,7 @@ import pytest
 
 from quadexp.log.store import read_flight, read_table, write_flight, write_table
 from tests.cli.command import run, run_main
+from tests.deleted import needs
 from tests.log.flights import straight_flight
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -111,6 +112,7 @@ class TestEvaluate:
         assert code == 0 and "nominal_mpc" in out and out.splitlines()[-1] == "r"
         assert len(read_table("r/results.parquet", "results")[0]["key"]) == 1 and not Path("r/figures").exists()
 
+    @needs("page")
     def test_a_sweep_and_its_table(self, here):
         done = quadexp("evaluate", *self.SWEEP, "--out", "r", cwd=here)
         assert done.returncode == 0, done.stderr

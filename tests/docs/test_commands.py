@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from quadexp.cli.app import app
 from quadexp.parts.compose import session
+from tests.deleted import needs
 from tests.docs.commands import ROOT, commands, inline, run, steps
 
 PAGES = sorted(page for folder in (".", "docs", "docs/site", "benchmarks") for page in (ROOT / folder).glob("*.md"))
@@ -48,12 +49,14 @@ def read_as_it_stands(words: list[str]) -> None:
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if commands(page)], ids=name)
+@needs()
 def test_options_and_overrides_are_those_that_there_are(page):
     for words in commands(page):
         read_as_it_stands(words)
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if inline(page) and page.name != "migrating.md"], ids=name)
+@needs()
 def test_commands_in_running_text_too(page):
     """Alone, `quadexp fit-gp` names a command; with more words it must be one that runs."""
     group = get_command(app)
@@ -84,6 +87,7 @@ def test_what_a_command_prints_is_found_below_it():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", ["README.md", "docs/guide.md", "docs/plots.md"])
+@needs()
 def test_they_run_in_their_order_and_print_what_is_said(page, tmp_path, monkeypatch):
     """In an empty folder, beside what a checkout has; the README's own are run after `make`'s collect and fit."""
     for folder in ("examples", "conf"):
@@ -110,6 +114,7 @@ REFUSED = [(page, step) for page in PAGES for step in steps(page) if step.said a
 
 
 @pytest.mark.parametrize(("page", "step"), REFUSED, ids=[f"{name(page)} {step.words[-1]}" for page, step in REFUSED])
+@needs()
 def test_what_a_page_says_is_refused_is_refused_in_these_words(page, step, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     found = CliRunner().invoke(app, step.words)

@@ -3,7 +3,10 @@
 import runpy
 from pathlib import Path
 
+from tests.deleted import needs
 
+
+@needs()
 def test_ranges_and_values_are_on_the_page():
     module = Path(__file__).resolve().parents[2] / "docs" / "site" / "configuration.py"
     page = runpy.run_path(str(module))["reference"]()

@@ -10,6 +10,7 @@ from quadexp.models.checkpoint import load_model
 from quadexp.models.dataset import read_dataset
 from quadexp.parts.compose import compose, session
 from quadexp.requests import fit
+from tests.deleted import needs
 
 SHORT = ["controller.backend=interpreted", "plant.backend=interpreted", "collect.duration=10"]
 LAG = ["actuator=first_order", "actuator.time_constant_up=0.03", "actuator.time_constant_down=0.03"]
@@ -27,6 +28,7 @@ def lagging(tmp_path_factory):
     return collected(folder / "a.parquet", *LAG), collected(folder / "b.parquet", *LAG, "collect.thrust=commanded")
 
 
+@needs("worlds", "identification")
 def test_a_lag_goes_into_the_data_set_and_its_report(lagging):
     (data, report), (commanded, plain) = lagging
     (timing,) = data.metadata["timing"]
@@ -58,6 +60,7 @@ def remaining(data):
     return target - terms @ np.linalg.lstsq(terms, target, rcond=None)[0]
 
 
+@needs("worlds", "identification")
 def test_a_checkpoint_says_what_its_data_were(lagging, tmp_path):
     """Timing and known noise are in the model."""
     (data, report), _ = lagging
@@ -89,6 +92,7 @@ def test_rows_are_of_what_the_controller_was_told(tmp_path):
     assert apart.std() == pytest.approx(noise, rel=0.1)
 
 
+@needs("worlds", "identification")
 def test_a_sweep_flies_in_its_worlds_in_turn(tmp_path):
     """Each world's timing is found by itself; the paths are those of one world."""
     sweep = ["wind=constant", "wind.velocity=[0,0,0],[4,0,0]", "link=latency", "link.latency=0,0.02"]

@@ -118,9 +118,10 @@ def test_a_free_heading_is_that_of_the_references_attitude(settings):
     assert flight.metrics["heading_rmse"] is None
 
 
-@pytest.mark.parametrize(("broken", "ends"), [("reading", 0.5), ("rotor_speed", 0.5), (None, 1.0)])
+@pytest.mark.parametrize(("broken", "ends"), [("reading", 0.5), ("rotor_speed", 0.5), (None, 1.0), ("state", 0.4)])
 def test_a_flight_ends_where_what_is_measured_is_refused(vehicle, broken, ends):
-    """A plant from outside whose sensors fail after 0.4 s: the last readings are held for HELD."""
+    """A plant from outside whose sensors fail after 0.4 s: the last readings are held for HELD. A state that is no
+    number ends the flight, and is said to be the plant's."""
 
     class Failing(SimplifiedPlant):
         rotor_speed = np.full(4, 400.0)
@@ -129,10 +130,15 @@ def test_a_flight_ends_where_what_is_measured_is_refused(vehicle, broken, ends):
             x, reading = super().advance(x, u, duration, rng)
             failed = self.time > 0.4
             self.rotor_speed = np.full(4, np.nan if failed and broken == "rotor_speed" else 400.0)
-            return x, reading + (np.nan if failed and broken == "reading" else 0.0)
+            state = x + (np.nan if failed and broken == "state" else 0.0)
+            return state, reading + (np.nan if failed and broken == "reading" else 0.0)
 
     dfbc = FlatnessBased(backend="interpreted").controller(vehicle)
     plant = Failing(vehicle, PlantEffects.none(), step=0.01, backend="interpreted")
     flight = fly(plant, dfbc, SampledReference(Hover(position=(0, 0, 1), duration=1.0), dfbc), np.random.default_rng(0))
     assert flight.t[-1] == pytest.approx(ends, abs=0.01)
-    assert flight.metadata["outcome"] == ("solver_failed" if broken else "ok")
+    if broken == "state":
+        assert flight.outcome == "lost"
+        assert flight.metadata["cause"].startswith("the plant's state is not finite at t=0.4")
+    else:
+        assert flight.outcome == ("solver_failed" if broken else "ok")

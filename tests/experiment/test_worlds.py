@@ -18,6 +18,7 @@ from quadexp.report.notes import notes
 from quadexp.report.summary import summarise, world_note
 from quadexp.world.effect import STAGES
 from quadexp.world.world import World
+from tests.deleted import needs
 
 SHORT = ["trajectory=hover", "trajectory.duration=0.4"]
 ESTIMATE = ["estimator.position_noise=0.02", "estimator.delay=0.01"]
@@ -127,6 +128,7 @@ def test_who_knows_the_plant_says_what_it_does_not_know():
         (["link=latency", "link.latency=0.03", "controller.dead_time=0.03"], True),
     ],
 )
+@needs("margins", "worlds")
 def test_known_delays_are_held_against_the_margins(world, stable):
     """The margin of the precise grid is 17 ms; link and estimator count together, and what the controller predicts."""
     overrides = [*SHORT, "horizon=precise", "controller=nominal_mpc", *world]

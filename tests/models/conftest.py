@@ -1,6 +1,5 @@
 import pytest
 
-from quadexp.plugins.gaussian_process.gaussian_process import GaussianProcessModel, GPConfig, fit_gp
 from tests.models.synthetic import synthetic_dataset
 
 
@@ -10,5 +9,8 @@ def dataset():
 
 
 @pytest.fixture(scope="session")
-def model(dataset) -> GaussianProcessModel:
+def model(dataset):
+    """Gaussian processes that were fitted to it, where that plug-in is there."""
+    from quadexp.plugins.gaussian_process.gaussian_process import GPConfig, fit_gp
+
     return fit_gp(dataset, GPConfig(inducing=8, mean="linear_drag", max_iterations=8))

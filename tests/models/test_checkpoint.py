@@ -15,6 +15,7 @@ from msgspec.structs import replace
 from quadexp.errors import DataError, UsageError
 from quadexp.models.checkpoint import load_model, load_report, save_model
 from quadexp.models.linear_drag import fit_linear_drag
+from tests.deleted import needs
 from tests.models.synthetic import synthetic_dataset
 from tests.models.test_dataset import VEHICLE
 
@@ -113,6 +114,7 @@ def test_loading_needs_no_torch(tmp_path, model):
 
 
 @pytest.mark.parametrize("name", sorted(EXPECTED))
+@needs()
 def test_a_stored_checkpoint_predicts_what_it_did(name):
     """Stored with what it predicted at three rows (of an identified vehicle: at one state)."""
     model = load_model(STORED / f"{name}.json")

@@ -10,6 +10,7 @@ from quadexp.parts.compose import compose, expand, session
 from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import world_parts
 from quadexp.parts.settings import record
+from tests.deleted import needs
 from tests.parts.test_compose import hydra_composes
 
 # No part, all of them, a few, one; values of a part, of the vehicle, and of what is given late.
@@ -40,6 +41,7 @@ def test_their_names():
             assert composer.compose([f"world={name}", gusty]).world == f"{name},{gusty}"
 
 
+@needs()
 def test_a_sweep_over_bundles():
     cells = expand([f"world={','.join(BUNDLES)}", "seed=0,1"])
     assert {cell.config.world for cell in cells} == set(BUNDLES) and set(varied(cells)) == {""}

@@ -18,6 +18,7 @@ from quadexp.parts.options import NOTHING, OptionFiles, groups
 from quadexp.parts.part import part_class
 from quadexp.parts.schema import BUNDLES, CHOSEN, PARTS, PRESETS, EvaluateConfig, conf_folder
 from quadexp.parts.settings import plain, record
+from tests.deleted import needs
 
 OVERRIDES = [
     ["trajectory=random", "trajectory.speed=12", "seed=7"],
@@ -135,6 +136,7 @@ class TestExpand:
                 assert len({getattr(cell.config, group) for cell in cells}) == 1
             assert all(cell.refused == {cell.overrides[1]} for cell in cells[:2])
 
+    @needs()
     def test_globs_see_the_options_and_no_schema(self):
         names = [cell.config.controller.name for cell in expand(["controller=glob(*)"])]
         with session() as composer:
@@ -195,6 +197,7 @@ class TestExpand:
         with pytest.raises(UsageError, match=said):
             expand(overrides)
 
+    @needs()
     def test_a_combination_that_contradicts_itself_is_a_cell_that_says_why(self):
         cells = list(expand(["trajectory=circle,hover", "trajectory.speed=4", "seed=0,1"]))
         assert [cell.config.trajectory.name for cell in cells] == ["circle", "circle", "hover", "hover"]

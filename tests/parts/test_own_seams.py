@@ -16,6 +16,7 @@ import pytest
 from quadexp.experiment.identity import flight_identity
 from quadexp.parts.compose import compose
 from tests.cli.command import run
+from tests.deleted import needs
 
 ROOT = Path(__file__).resolve().parents[2]
 QUICK = ["controller.backend=interpreted", "plant.backend=interpreted"]
@@ -178,6 +179,7 @@ class TestLearnedModel:
         assert code == 2 and said in error and error.count("\n") == 1, error
         assert not (tmp_path / "m").exists()
 
+    @needs("neural", "gaussian_process")
     def test_what_is_not_there_is_said(self, lateral, tmp_path):
         """Without its folder, under another name, or under one of this package."""
         folder, _ = lateral
@@ -242,6 +244,11 @@ class TestMetric:
         short = ["controller=pid", "trajectory=hover", "trajectory.duration=0.2", "--conf", bad]
         code, _, error = run("evaluate", *short, "evaluate.metric=bad", "--out", tmp_path / "r")
         assert code == 2 and "metric=bad: of(flight) raised" in error and error.count("\n") == 1, error
+        nan = METRIC.replace("return ", "return np.nan * ")
+        folder = option(tmp_path / "nan", "metric", "no_number", "no_number_of_mine", nan, "HeightError")
+        words = ["evaluate", *short[:3], "--conf", folder, "evaluate.metric=no_number", "--no-figures"]
+        code, out, error = run(*words, "--out", tmp_path / "r")
+        assert code == 0 and "no_number is no number in 1 of 1 completed flights" in out, error
         taken = option(tmp_path / "taken", "metric", "rmse", "rmse_of_mine", METRIC, "HeightError")
         code, _, error = run("evaluate", *short[:3], "--conf", taken, "--out", tmp_path / "r")
         assert code == 2 and "metric=rmse: results have a column of that name" in error
@@ -326,6 +333,7 @@ class TestPlugIn:
             "Plug-ins:\n  laps" in apart(lab, "--help").stdout and "Count the laps" in apart(lab, "laps", "-h").stdout
         )
 
+    @needs("logs", "check")
     def test_a_reader_of_logs(self, lab):
         import numpy as np
 
@@ -337,6 +345,7 @@ class TestPlugIn:
         done = apart(lab, "import", "log.tabs", "--log-format", "nothing", "--out", "other")
         assert done.returncode == 2 and "no such format" in done.stderr and "tabs" in done.stderr
 
+    @needs("page")
     def test_a_section_of_the_page_and_a_paper(self, lab):
         words = ["controller=nominal_mpc,pid", "trajectory=hover", "trajectory.duration=0.5", "evaluate.figures=mine"]
         done = apart(lab, "evaluate", "--sweep", *words, "--out", "r")
@@ -359,6 +368,7 @@ class TestPlugIn:
             ("x = 3\nBRINGS = {'readers': {'tabs': 'my_lab:x'}}", ["import", "a.log"], "my_lab:x has no ABOUT"),
         ],
     )
+    @needs()
     def test_a_mistake_is_one_line_and_hinders_nothing_that_ships(self, text, words, said, lab, tmp_path):
         folder = tmp_path / "site"
         record = folder / "my_lab-1.0.dist-info"

@@ -9,6 +9,7 @@ from quadexp.parts.compose import compose, expand
 from quadexp.parts.options import OptionFiles
 from quadexp.parts.part import Part
 from quadexp.parts.schema import PARTS, REMEDIES, WORLD
+from tests.deleted import needs
 
 OWN = """
 from dataclasses import dataclass
@@ -77,6 +78,7 @@ def test_nothing_else_is_named(own, target, message):
         compose([f"trajectory._target_={target}"])
 
 
+@needs()
 def test_the_shipped_ones_go_the_same_way():
     files = OptionFiles()
     assert {*WORLD, *REMEDIES} < set(PARTS)

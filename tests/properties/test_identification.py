@@ -8,9 +8,10 @@ from hypothesis import strategies as st
 from quadexp.physics.blade_element import static_coefficients
 from quadexp.physics.rotor import BladeCoefficients
 from quadexp.plugins.gaussian_process.gaussian_process import gaussian_process_residual, mean_only
-from quadexp.plugins.papers.lei_li.rls import AXES, BladeElementRLS, RLSSettings
+from quadexp.plugins.papers.lei_li.rls import AXES, RLSSettings
 from tests.models.batch import batch_least_squares
 from tests.physics.aerodynamic_point import aerodynamic_point
+from tests.plugins.papers.estimator import Estimator
 from tests.properties.strategies import GP_FEATURES, few, generators, make_blade, make_features, make_thrusts, vehicles
 
 NAMES = ("v_x", "v_y", "v_z", "w_x", "w_y", "w_z")
@@ -72,7 +73,7 @@ def test_recursive_is_batch_least_squares(vehicle, forgetting, scaled, rng):
     blade = make_blade(rng)
     initial = BladeCoefficients.from_parameters(blade.parameters() * rng.uniform(0.5, 1.5, 5))
     kind = {"noise": float(rng.uniform(0.02, 1))} | ({"relative_std": 0.4} if scaled else {"covariance": 3.0})
-    estimator = BladeElementRLS(vehicle, initial, RLSSettings(forgetting=forgetting, **kind))
+    estimator = Estimator(vehicle, initial, RLSSettings(forgetting=forgetting, **kind))
     prior, rows, readings, before = estimator.covariance, [], [], []
     k = static_coefficients(vehicle.rotor, blade).thrust
     for _ in range(25):
@@ -84,7 +85,7 @@ def test_recursive_is_batch_least_squares(vehicle, forgetting, scaled, rng):
         rows.append(estimator.regressors)
         readings.append(force)
     rows, readings = np.array(rows), np.array(readings)
-    for axis, at in enumerate(AXES):
+    for axis, at in enumerate(AXES.values()):
         batch = batch_least_squares(
             rows[:, axis][:, list(at)],
             readings[:, axis],
@@ -102,7 +103,7 @@ def test_recursive_is_batch_least_squares(vehicle, forgetting, scaled, rng):
 def test_the_regressors_give_the_force_back(vehicle, rng):
     """Phi theta is the specific force of the model with the coefficients in use, at the start the true ones."""
     blade = make_blade(rng)
-    estimator = BladeElementRLS(vehicle, blade, RLSSettings(clip=False))
+    estimator = Estimator(vehicle, blade, RLSSettings(clip=False))
     v, w = (
         3 * rng.normal(size=3),
         np.sqrt(make_thrusts(rng, vehicle) / static_coefficients(vehicle.rotor, blade).thrust),
@@ -120,7 +121,7 @@ def test_the_regressors_give_the_force_back(vehicle, rng):
 def test_axes_are_combined_by_speed(vehicle, lift_weight, pace, rng):
     """(25), (26): beta_x = |v_x| / (|v_x| + |v_y|) at any speed, and C_la from all three axes with the weight of z."""
     blade = make_blade(rng)
-    estimator = BladeElementRLS(vehicle, blade, RLSSettings(clip=False, lift_weight=lift_weight))
+    estimator = Estimator(vehicle, blade, RLSSettings(clip=False, lift_weight=lift_weight))
     k = static_coefficients(vehicle.rotor, blade).thrust
     for _ in range(3):
         v, w = pace * rng.normal(size=3), np.sqrt(make_thrusts(rng, vehicle) / k)

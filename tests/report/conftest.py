@@ -2,10 +2,10 @@
 
 import pytest
 
-from tests.report.results import make_results
-
 
 @pytest.fixture(scope="session")
 def results(tmp_path_factory):
     """As `make_results` makes them: not to be changed."""
+    from tests.report.results import make_results
+
     return make_results(tmp_path_factory.mktemp("made") / "table1")

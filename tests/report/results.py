@@ -8,8 +8,6 @@ import numpy as np
 from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight, write_table
-from quadexp.plugins.page.draw import figure_of
-from quadexp.plugins.page.view import automatic
 from quadexp.report.frame import SweepFrame
 from quadexp.report.metrics import flight_metrics, to_columns
 from quadexp.report.pairing import BASELINE, Groups
@@ -84,6 +82,9 @@ def make_results(root: Path, *, controllers: tuple[str, ...] = tuple(ERRORS), lo
 
 def speed_figure(rows: list[dict[str, Any]], confidence: float = 0.95) -> Any:
     """What is drawn of rows in which the speed was swept."""
+    from quadexp.plugins.page.draw import figure_of
+    from quadexp.plugins.page.view import automatic
+
     return figure_of(automatic(SweepFrame([{"key": "", **row} for row in rows], "none"), "mean_error", confidence)[0])
 
 

@@ -8,6 +8,7 @@ import pytest
 from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import conf_folder
 from tests.cli.command import run
+from tests.deleted import needs
 
 BARE = ("controller.backend=interpreted", "plant.backend=interpreted")
 COURSE = ("trajectory=hover", "trajectory.duration=0.3", *BARE)
@@ -37,6 +38,7 @@ def test_every_controller_of_the_literature_states_its_paper():
         (("controller=nominal_mpc", "adaptive=l1", "wind=dryden"), {"torrente2021", "hanover2022", "milf8785c"}),
     ],
 )
+@needs()
 def test_what_flew_is_cited_and_nothing_else(tmp_path, monkeypatch, words, papers):
     monkeypatch.chdir(tmp_path)
     assert run("simulate", *words, *COURSE, "controller.allow_unstable=true", "--out", "a.parquet")[0] == 0
@@ -45,6 +47,7 @@ def test_what_flew_is_cited_and_nothing_else(tmp_path, monkeypatch, words, paper
     assert text.count("{") == text.count("}")
 
 
+@needs()
 def test_a_sweep_names_who_flew_in_it_and_its_commit(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     own = tmp_path / "own"

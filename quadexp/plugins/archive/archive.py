@@ -28,6 +28,7 @@ from quadexp.parts.settings import read_value
 from quadexp.plugins.archive.cite import bibtex
 from quadexp.provenance import content_hash, folder_files
 from quadexp.report.frame import read_results
+from quadexp.report.pairing import Rows
 from quadexp.report.text import count
 from quadexp.writer import check_output, written
 
@@ -59,7 +60,7 @@ def write_archive(results: str | Path, out: str | Path, *, force: bool = False) 
     files |= {f"results/{file.relative_to(root).as_posix()}": file.read_bytes() for file in members if _is_result(file)}
     files["citations.bib"] = bibtex(root).encode()
     files["versions.txt"] = versions_text(record).encode()
-    files["README.md"] = readme(rows, record, [RERUN, *conf], names).encode()
+    files["README.md"] = readme(rows, [RERUN, *conf], names).encode()
     sums = (f"{sha256_of(content)}  {name}\n" for name, content in sorted(files.items()))
     files["SHA256SUMS"] = "".join(sums).encode()
     packed = io.BytesIO()
@@ -97,7 +98,9 @@ class Places:
         if not isinstance(value, str) or not value:
             return value
         path = self.folder / value
-        return self.of(path) if path.is_file() or (path / "model.json").is_file() else value
+        if path.is_file() or (path / "model.json").is_file():
+            return self.of(path)
+        return value
 
 
 def _inputs(record: Mapping[str, Any], places: Places) -> Iterator[tuple[str, bytes]]:
@@ -162,19 +165,21 @@ def versions_text(record: Mapping[str, Any]) -> str:
     """What flew it, a line each."""
     provenance = record.get("provenance", {})
     git = provenance.get("git") or {}
-    lines = [f"{flown['cells']} flights: quadexp {flown['program']}, sources {flown['sources']}, {flown['libraries']}"
-             for flown in record.get("flown_by", ())]  # fmt: skip
+    lines = [
+        f"{flown['cells']} flights: quadexp {flown['program']}, sources {flown['sources']}, {flown['libraries']}"
+        for flown in record.get("flown_by", ())
+    ]
     if git:
         lines.append(f"commit {git['commit']}" + (" with changes" if git.get("dirty") else ""))
     lines += [f"{name} {provenance[name]}" for name in ("platform", "cpu", "created") if name in provenance]
     return "\n".join(lines) + "\n"
 
 
-def readme(
-    rows: Sequence[Mapping[str, Any]], record: Mapping[str, Any], conf: Iterable[str], names: Sequence[str]
-) -> str:
+def readme(rows: Rows, conf: Iterable[str], names: Sequence[str]) -> str:
     """What the archive is, and its commands; each runs in the folder that it is unpacked into."""
-    folders = [word for folder in distinct(conf) for word in ("--conf", folder)]
+    folders = []
+    for folder in distinct(conf):
+        folders += ["--conf", folder]
     fly = ["quadexp", "evaluate", "--sweep", *folders, f"experiment={','.join(names)}", "--out", "results_again"]
     seeds = sorted({row["seed"] for row in rows})
     controllers = ", ".join(distinct(str(row["controller"]) for row in rows))

@@ -96,6 +96,8 @@ def _in_words(paper: str) -> str:
 def _program(record: Mapping[str, Any]) -> str:
     commit = ((record.get("provenance") or {}).get("git") or {}).get("commit", "")
     version = __version__ + (f", commit {commit[:10]}" if commit else "")
-    title = "quadexp: an experiment pipeline for aerodynamics-aware quadrotor trajectory tracking"
-    fields = {"title": f"{{{title}}}", "author": "{The quadexp developers}", "version": version}
-    return "@software{quadexp,\n" + ",\n".join(f"  {name} = {{{value}}}" for name, value in fields.items()) + "\n}"
+    return f"""@software{{quadexp,
+  title = {{{{quadexp: an experiment pipeline for aerodynamics-aware quadrotor trajectory tracking}}}},
+  author = {{{{The quadexp developers}}}},
+  version = {{{version}}}
+}}"""

@@ -44,8 +44,10 @@ def verify_results(out: str | Path, progress: Callable[[int, int], None] = lambd
 
     Raises UsageError for a folder without results.
     """
-    store, verified = open_results(out), Verified()
-    keys, path = sorted(store.done()), store.root / RESULTS
+    store = open_results(out)
+    verified = Verified()
+    keys = sorted(store.done())
+    path = store.root / RESULTS
     flights: dict[str, Row | None] = {}
     for count, key in enumerate(keys, 1):
         flights[key] = verified.look(store.path(key), functools.partial(_flight_row, store, key))
@@ -69,7 +71,8 @@ def _flight_row(store: CellStore, key: str) -> Row:
 
 def _unlike(rows: list[Row], flights: dict[str, Row | None]) -> str:
     """How a table differs from what the flights say, in one line, "" where it does not. flights: None if damaged."""
-    other, lost = [], []
+    other = []
+    lost = []
     for row in rows:
         flight = flights.get(row["key"])
         if flight is not None:
@@ -84,7 +87,10 @@ def _edited(record: dict[str, Any]) -> str:
     """Which files that decided its flights have another content now, in one line, "" for none. What is not there any
     more, as on another machine, is not compared. Nothing of it is executed."""
     files = record.get("files", {})
-    other = [path for path, content in files.items() if Path(path).is_file() and content_hash(path) != content]
+    other = []
+    for path, content in files.items():
+        if Path(path).is_file() and content_hash(path) != content:
+            other.append(path)
     return f"is of flights with another content of {', '.join(other)}: run the sweep again" if other else ""
 
 
@@ -94,7 +100,8 @@ def _same(a: Any, b: Any) -> bool:
 
 def _verify_made(root: Path, record: dict[str, Any], verified: Verified) -> None:
     """Look at what was made of the rows."""
-    stated, path = record.get("made", {}), root / STATISTICS
+    stated = record.get("made", {})
+    path = root / STATISTICS
     verified.files += sum((root / name).is_file() for name in stated)
     verified.wrong |= altered_texts(root, record)
     wanted = [*stated, STATISTICS] if "statistics" in record else [*stated]

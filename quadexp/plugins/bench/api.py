@@ -30,7 +30,8 @@ class Leaderboard(Frame):
         from quadexp.plugins.bench.protocol import read_protocol
         from quadexp.report.metrics import from_columns
 
-        rows, protocol = from_columns(self.columns_as_arrays()), read_protocol()
+        rows = from_columns(self.columns_as_arrays())
+        protocol = read_protocol()
         options = {"metric": protocol.metric, "baseline": protocol.baseline}
         return {name: board_table(of_family, title=name, **options) for name, of_family in families_of(rows).items()}
 
@@ -53,7 +54,8 @@ def bench(
     from quadexp.plugins.bench.board import FILE
     from quadexp.plugins.bench.run import bench as ranked_by
 
-    folder, asked = Scratch() if out is None else Path(out), request_of(Bench, keywords)
+    folder = Scratch() if out is None else Path(out)
+    asked = request_of(Bench, keywords)
     with progress_of("flights", progress) as shown:
         texts = overrides(settings, keywords, "evaluate")
         board = ranked_by(texts, asked, out=Path(folder), conf=conf, progress=shown)

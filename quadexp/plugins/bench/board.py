@@ -12,12 +12,12 @@ import numpy as np
 from quadexp.errors import UsageError
 from quadexp.log.store import read_table, read_text, write_table
 from quadexp.names import distinct
-from quadexp.plugins.bench.protocol import FORMER, SHORT
-from quadexp.plugins.bench.ranking import Row, Standing, cell_of, standings
+from quadexp.plugins.bench.protocol import SHORT
+from quadexp.plugins.bench.ranking import Standing, cell_of, standings
 from quadexp.provenance import provenance
 from quadexp.report.inference import least_seeds
 from quadexp.report.metrics import from_columns, metric_of, to_columns
-from quadexp.report.pairing import grouped
+from quadexp.report.pairing import Row, Rows, grouped
 from quadexp.report.table import Table
 from quadexp.report.text import count, duration, listed, number, too_few
 from quadexp.writer import check_output, write_text
@@ -25,7 +25,8 @@ from quadexp.writer import check_output, write_text
 FILE = "leaderboard.parquet"
 TEXTS = ("entry", "settings", "family", "task", "world", "size", "protocol_sha256")
 NUMBERS = ("protocol", "bound")
-BEGIN, END = "<!-- bench: begin (written by the command; edit nothing up to the end) -->", "<!-- bench: end -->"
+BEGIN = "<!-- bench: begin (written by the command; edit nothing up to the end) -->"
+END = "<!-- bench: end -->"
 RULE = (
     "Place: who is not significantly different by the flights lost from the entry that lost the fewest, by mean rank"
     " over all"
@@ -41,7 +42,7 @@ RULE = (
 )
 
 
-def write_board(path: Path, rows: Sequence[Row], record: Mapping[str, Any]) -> Path:
+def write_board(path: Path, rows: Rows, record: Mapping[str, Any]) -> Path:
     """Write the rows of all entries."""
     columns = to_columns(rows)
     columns |= {name: np.array([str(row[name]) for row in rows], dtype=object) for name in TEXTS}
@@ -55,7 +56,7 @@ def read_board(path: Path) -> list[Row]:
     return [dict(row) for row in from_columns(columns)]
 
 
-def joined(rows: Sequence[Row], more: Sequence[Row], where: str) -> list[Row]:
+def joined(rows: Rows, more: Rows, where: str) -> list[Row]:
     """Rows of two leaderboards; of an entry that is in both, those of the first.
 
     Raises UsageError where they are of different protocols or sizes, or not of the same cells.
@@ -68,15 +69,10 @@ def joined(rows: Sequence[Row], more: Sequence[Row], where: str) -> list[Row]:
     return together
 
 
-def check_alike(rows: Sequence[Row], sha256: str, size: str, where: str) -> None:
+def check_alike(rows: Rows, sha256: str, size: str, where: str) -> None:
     """Raise UsageError where some rows are not of this protocol and size."""
     for name, what, asked in (("protocol_sha256", "protocol", sha256[:SHORT]), ("size", "size", size)):
         others = sorted({str(row[name])[: SHORT if what == "protocol" else None] for row in rows} - {asked})
-        if others and others[0] in FORMER:
-            raise UsageError(
-                f"{where}: is of protocol {FORMER[others[0]]}, which is flown no more: fly its entries again, with"
-                " `quadexp bench --controller NAME`"
-            )
         if others:
             raise UsageError(
                 f"{where}: is of {what} {', '.join(others)}, not {asked}: results of different {what}s are not ranked"
@@ -84,7 +80,7 @@ def check_alike(rows: Sequence[Row], sha256: str, size: str, where: str) -> None
             )
 
 
-def check_cells(rows: Sequence[Row], where: str) -> None:
+def check_cells(rows: Rows, where: str) -> None:
     """Raise UsageError where the entries of a family have not flown the same cells."""
     for family, of_family in families_of(rows).items():
         flown = grouped((row["entry"], cell_of(row)) for row in of_family)
@@ -93,12 +89,12 @@ def check_cells(rows: Sequence[Row], where: str) -> None:
             raise UsageError(f"{where}: {wrong[0]} and {first} have not flown the same cells of {family}")
 
 
-def families_of(rows: Sequence[Row]) -> dict[str, list[Row]]:
+def families_of(rows: Rows) -> dict[str, list[Row]]:
     """Rows by family, in their order."""
     return grouped((str(row["family"]), row) for row in rows)
 
 
-def board_table(rows: Sequence[Row], *, metric: str, baseline: str, title: str = "") -> Table:
+def board_table(rows: Rows, *, metric: str, baseline: str, title: str = "") -> Table:
     """The standings of one family."""
     ranked = standings(rows, metric=metric, baseline=baseline)
     heads = ["place", "entry", "settings", "completed", "mean rank", "x least", f"error / {baseline}", "step"]
@@ -114,20 +110,25 @@ def _line(s: Standing) -> list[str]:
         return text + ("" if math.isnan(low) else f" [{low:{form}}, {high:{form}}]")
 
     def of_cells(text: str, cells: int) -> str:
-        return f"{text} ({cells})" if cells < s.flights and text != "-" else text
+        if cells < s.flights and text != "-":
+            return f"{text} ({cells})"
+        return text
 
     place = "bound" if s.bound else f"{'= ' if s.level else ''}{s.place}"
     rank = "-" if s.bound else value(f"{s.rank:.2f}", s.rank_low, s.rank_high)
     ratio = "-" if math.isnan(s.ratio.value) else value(f"{s.ratio.value:.3g}", s.ratio.low, s.ratio.high, ".3g")
-    least, ratio = of_cells(number(s.least), s.least_cells), of_cells(ratio, s.ratio_cells)
-    ended, step = f"{s.flights - s.lost} of {s.flights}", duration(s.step).replace("µ", "u")
+    least = of_cells(number(s.least), s.least_cells)
+    ratio = of_cells(ratio, s.ratio_cells)
+    ended = f"{s.flights - s.lost} of {s.flights}"
+    step = duration(s.step).replace("µ", "u")
     return [place, s.entry, s.settings, ended, rank, least, ratio, step]
 
 
-def error_table(rows: Sequence[Row], *, metric: str, by: Sequence[str] = ("world",), title: str = "") -> Table:
+def error_table(rows: Rows, *, metric: str, by: Sequence[str] = ("world",), title: str = "") -> Table:
     """Geometric mean error of every entry, a line for each world (or task and world); lost flights beside it."""
     about = metric_of(metric)
-    factor, unit = about.factor, about.unit
+    factor = about.factor
+    unit = about.unit
     entries = distinct(str(row["entry"]) for row in rows)
     texts = []
     for at, line in grouped((tuple(str(row[name]) for name in by), row) for row in rows).items():
@@ -137,14 +138,17 @@ def error_table(rows: Sequence[Row], *, metric: str, by: Sequence[str] = ("world
     return Table([*by, *entries], texts, title or f"geometric mean error ({unit})", left=frozenset(range(len(by))))
 
 
-def _mean(rows: Sequence[Row], metric: str) -> tuple[float, int]:
+def _mean(rows: Rows, metric: str) -> tuple[float, int]:
     """Geometric mean over the completed flights (m), and how many were not."""
-    errors = [float(row[metric]) for row in rows if row["outcome"] == "ok" and float(row[metric]) > 0]
+    errors = []
+    for row in rows:
+        if row["outcome"] == "ok" and float(row[metric]) > 0:
+            errors.append(float(row[metric]))
     mean = math.exp(float(np.mean(np.log(errors)))) if errors else math.nan
     return mean, sum(row["outcome"] != "ok" for row in rows)
 
 
-def markdown(rows: Sequence[Row], *, metric: str, baseline: str, what: Mapping[str, str]) -> str:
+def markdown(rows: Rows, *, metric: str, baseline: str, what: Mapping[str, str]) -> str:
     """The board of every family, and its errors by world, in Markdown. what: a sentence for each family."""
     first = rows[0]
     about = f"Protocol v{first['protocol']} ({str(first['protocol_sha256'])[:SHORT]}), size {first['size']}"

@@ -41,7 +41,9 @@ def bench(asked: Bench, overrides: Overrides = (), out: OptionalOut = None, conf
 
     with Progress("flights") as progress:
         board = ranked_by(overrides, asked, out=out, conf=conf, progress=progress, say=say)
-    boards = {name: [named(t.columns, row) for row in t.rows] for name, t in board.tables.items()}
+    boards = {}
+    for name, t in board.tables.items():
+        boards[name] = [named(t.columns, row) for row in t.rows]
     record = {"protocol": board.protocol.name, "size": asked.size, "boards": boards}
     record["files"] = dict(board.files)
     tables = list(board.tables.values())

@@ -67,9 +67,14 @@ def _rule(config: Config) -> str:
     """Which checkpoint the controller, or what is around it, may read; see Entry."""
     residual = getattr(config.controller, "residual", "none")
     if isinstance(residual, str) and config.controller.learned:
-        rules = {SPELLINGS[word]: rule for rule, words in RULES.items() for word in words}
+        rules = {}
+        for rule, words in RULES.items():
+            for word in words:
+                rules[SPELLINGS[word]] = rule
         return rules.get(residual, residual)
-    return "fit" if remedies(config) or residual not in ("none", "plant", "blade_element") else ""
+    if remedies(config) or residual not in ("none", "plant", "blade_element"):
+        return "fit"
+    return ""
 
 
 def _settings(overrides: Sequence[str], protocol: Protocol, extra: Folders) -> str:
@@ -80,7 +85,9 @@ def _settings(overrides: Sequence[str], protocol: Protocol, extra: Folders) -> s
     """
     last = max(family.chosen(size)[0] for family in protocol.families.values() for size in family.sizes)
     known = OptionFiles(extra)
-    flights, by_hand, watched = 0, any(word.partition("=")[0].count(".") for word in overrides), set[int]()
+    flights = 0
+    by_hand = any(word.partition("=")[0].count(".") for word in overrides)
+    watched = set[int]()
     for word in overrides:
         group, _, option = word.partition("=")
         about = provenance_of(option, extra, group) if group in ("controller", "remedies", *REMEDIES) else None
@@ -134,7 +141,8 @@ def make_model(
     One that is there is used again if what decides it is the same: the protocol's rules, the flights, the sources.
     """
     name = family.name if rule == "fit" else f"{family.name}_{rule}"
-    out, data = folder / name, folder / f"{family.name}.parquet"
+    out = folder / name
+    data = folder / f"{family.name}.parquet"
     command = family.models["collect"]
     collect = composer.compose(command)
     config, model = family.fitted(composer, rule, RULES[rule][0] if rule in RULES else rule)

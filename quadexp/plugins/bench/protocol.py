@@ -28,8 +28,6 @@ from quadexp.parts.settings import plain
 from quadexp.report.text import count
 
 SHORT = 12  # hex digits of a hash
-# sha256 of former versions, whose rows no configuration flies any more.
-FORMER = {"2c16fac43eb2": "v1", "b7bee243bba3": "v2"}
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,10 @@ class Family:
 def _stated(part: Any) -> dict[str, Any]:
     """The class of a part, and its settings that are not the class's defaults, without its name."""
     usual = {**plain(type(part)), "name": part.name}
-    stated = {key: value for key, value in part.recorded().items() if usual.get(key) != value}
+    stated = {}
+    for key, value in part.recorded().items():
+        if usual.get(key) != value:
+            stated[key] = value
     name = type(part).__name__
     return {"kind": FROZEN_AS.get(name, name), **stated}
 
@@ -139,7 +140,8 @@ def protocol_of(text: bytes) -> Protocol:
     families = {}
     for name, part in content["families"].items():
         worlds = {**part["worlds"], **dict(_drawn(part.get("draws", {}), **content.get("draws", {})))}
-        models, overrides = part["models"], tuple(part["given"])
+        models = part["models"]
+        overrides = tuple(part["given"])
         families[name] = Family(name, part["what"], overrides, models, part["tasks"], worlds, part["sizes"])
     ranked = content["metric"], content["baseline"], content["first_seed"]
     sha256 = sha256_of(text)
@@ -151,7 +153,9 @@ def _drawn(kinds: Mapping[str, Any], seed: int = 0, each: int = 0) -> Iterable[t
     random = np.random.Generator(np.random.PCG64(seed))
     for kind, rule in kinds.items():
         for i in range(1, each + 1):
-            draws = {key: np.round(random.uniform(*ends), 3).tolist() for key, ends in rule["between"].items()}
+            draws = {}
+            for key, ends in rule["between"].items():
+                draws[key] = np.round(random.uniform(*ends), 3).tolist()
             yield f"{kind}_{i}", [*rule["given"], *(f"{key}={value}".replace(" ", "") for key, value in draws.items())]
 
 

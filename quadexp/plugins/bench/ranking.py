@@ -4,7 +4,7 @@
                           or not flown come after them, and share theirs
     mean rank             mean over tasks and worlds, then over seeds; its interval is Student's t over six seeds or
                           more: of three, whose ranks are few numbers, it held the mean in 90 % of 2,000 tables for 95
-    significantly different            by the paired permutation test of the seeds, p < 1 - confidence: six seeds can,
+    significantly different            by the paired permutation test of the seeds, p < 1 - CONFIDENCE: six seeds can,
     fewer cannot
     place                 those not significantly different, by the number of flights lost, from the entry that lost the
     fewest come
@@ -22,18 +22,16 @@ the ratio to the baseline does not.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.stats import rankdata
 
 from quadexp.names import named
 from quadexp.report.inference import NO_INTERVAL, Ratio, least_seeds, log_ratio, mean_interval, paired_permutation
-from quadexp.report.pairing import grouped, seed_means, whole
-
-Row = Mapping[str, Any]
+from quadexp.report.pairing import Row, Rows, grouped, seed_means, whole
+from quadexp.report.statistics import CONFIDENCE
 
 
 @dataclass(frozen=True)
@@ -63,42 +61,50 @@ class Standing:
         return self.place == 0
 
 
-def standings(
-    rows: Sequence[Row], *, metric: str = "mean_error", baseline: str = "", confidence: float = 0.95
-) -> list[Standing]:
+def standings(rows: Rows, *, metric: str = "mean_error", baseline: str = "") -> list[Standing]:
     """The board of one family: ranked entries by place, then bounds by their lost flights and ratio.
 
     rows: with entry, settings, bound, task, world, seed beside those of a result; every entry has all cells.
     """
     entries = {str(row["entry"]): row for row in rows}
-    names, places = list(entries), {name: i for i, name in enumerate(entries)}
+    names = list(entries)
+    places = {name: i for i, name in enumerate(entries)}
     cells = {cell: k for k, cell in enumerate(dict.fromkeys(map(cell_of, rows)))}
     errors, steps = np.full((2, len(names), len(cells)), np.inf)  # m, inf for a lost flight; s
     for row in rows:
         at = places[row["entry"]], cells[cell_of(row)]
-        errors[at], steps[at] = _error(row, metric), float(row["solve_time_median"])
+        errors[at] = _error(row, metric)
+        steps[at] = float(row["solve_time_median"])
     of_seed = grouped((cell[2], cells[cell]) for cell in sorted(cells))
-    ranked, lost = [i for i, name in enumerate(names) if not entries[name]["bound"]], ~np.isfinite(errors)
+    ranked = [i for i, name in enumerate(names) if not entries[name]["bound"]]
+    lost = ~np.isfinite(errors)
     ranks = named(ranked, rankdata(errors[ranked], axis=0))  # ties share their mean rank
     seed_ranks = {i: np.array([np.mean(of_entry[k]) for k in of_seed.values()]) for i, of_entry in ranks.items()}
     seed_losses = np.array([[of_entry[k].sum() for k in of_seed.values()] for of_entry in lost])
-    order = _order(seed_losses, seed_ranks, confidence)
+    order = _order(seed_losses, seed_ranks)
     least = np.min(errors[ranked], axis=0, initial=np.inf)
     board = []
     for i, name in enumerate(names):
-        place, level, rank, limits = 0, False, math.nan, NO_INTERVAL
+        place = 0
+        level = False
+        rank = math.nan
+        limits = NO_INTERVAL
         if i in seed_ranks:
             place = 1 + order.index(i)
             above = order[max(place - 2, 0)]
-            apart = any(_apart(of[i] - of[above], confidence) for of in (seed_losses, seed_ranks))
-            level, rank = place > 1 and not apart, float(np.mean(seed_ranks[i]))
-            if len(of_seed) >= least_seeds(1, confidence):
-                limits = mean_interval(seed_ranks[i], confidence, least=1.0)
+            apart = any(_apart(of[i] - of[above]) for of in (seed_losses, seed_ranks))
+            level = place > 1 and not apart
+            rank = float(np.mean(seed_ranks[i]))
+            if len(of_seed) >= least_seeds(1):
+                limits = mean_interval(seed_ranks[i], least=1.0)
         ratios = _log_ratios(errors[i], least)
         known = ratios[np.isfinite(ratios)]
         other = errors[places[baseline]] if baseline in places and name != baseline else np.full(len(cells), np.inf)
         of_cells = zip(cells, _log_ratios(errors[i], other), strict=True)
-        against = {((task, world), seed): float(x) for (task, world, seed), x in of_cells if not math.isnan(x)}
+        against = {}
+        for (task, world, seed), x in of_cells:
+            if not math.isnan(x):
+                against[(task, world), seed] = float(x)
         times = steps[i][np.isfinite(steps[i])]
         board.append(
             Standing(
@@ -113,7 +119,7 @@ def standings(
                 rank_high=min(limits.high, len(order)),
                 least=math.exp(float(np.mean(known))) if len(known) else math.nan,
                 least_cells=len(known),
-                ratio=log_ratio(seed_means(against), confidence),
+                ratio=log_ratio(seed_means(against)),
                 ratio_cells=len(whole(against.keys())) if against else 0,
                 step=float(np.median(times)) if len(times) else math.nan,
             )
@@ -121,19 +127,22 @@ def standings(
     return sorted(board, key=lambda standing: (standing.bound, standing.place, standing.lost, standing.least))
 
 
-def _order(losses: np.ndarray, ranks: Mapping[int, np.ndarray], confidence: float) -> list[int]:
+def _order(losses: np.ndarray, ranks: Mapping[int, np.ndarray]) -> list[int]:
     """Entries by place; see the module. losses: of each entry and seed. ranks: entry -> mean rank of each seed."""
     rest = sorted(ranks, key=lambda i: (int(losses[i].sum()), float(np.mean(ranks[i]))))
     order: list[int] = []
     while rest:
-        alike = [i for i in rest if not _apart(losses[i] - losses[rest[0]], confidence)]
+        alike = []
+        for i in rest:
+            if not _apart(losses[i] - losses[rest[0]]):
+                alike.append(i)
         order += sorted(alike, key=lambda i: float(np.mean(ranks[i])))
         rest = [i for i in rest if i not in alike]
     return order
 
 
-def _apart(differences: np.ndarray, confidence: float) -> bool:
-    return paired_permutation(differences) < 1 - confidence
+def _apart(differences: np.ndarray) -> bool:
+    return paired_permutation(differences) < 1 - CONFIDENCE
 
 
 def cell_of(row: Row) -> tuple[str, str, int]:
@@ -144,7 +153,9 @@ def cell_of(row: Row) -> tuple[str, str, int]:
 def _error(row: Row, metric: str) -> float:
     """The error of a flight, infinite for one that was not completed."""
     value = float(row[metric]) if row["outcome"] == "ok" else math.inf
-    return value if math.isfinite(value) else math.inf
+    if math.isfinite(value):
+        return value
+    return math.inf
 
 
 def _log_ratios(errors: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -29,8 +29,8 @@ from quadexp.plugins.bench.board import (
 )
 from quadexp.plugins.bench.entries import Entry, configs_of, field, make_model, read_entries, why_not
 from quadexp.plugins.bench.protocol import Protocol, read_protocol, with_fewer_seeds
-from quadexp.plugins.bench.ranking import Row
 from quadexp.plugins.bench.settings import Bench
+from quadexp.report.pairing import Rows
 from quadexp.report.table import Table
 from quadexp.sweeps.engine import CellFunction, Progress
 from quadexp.sweeps.plan import plan_cells
@@ -45,7 +45,7 @@ class Leaderboard:
     """rows: of all entries. tables: of each family. files: name -> path. notes: what a reader should know."""
 
     protocol: Protocol
-    rows: Sequence[Row]
+    rows: Rows
     tables: Mapping[str, Table]
     files: Mapping[str, Path]
     notes: Sequence[str]
@@ -100,7 +100,9 @@ def bench(
             options: Any = {"function": function, "isolate": isolate, "progress": progress}
             flown = {row["key"]: row for row in fly_cells([*cells.values()], store, engine, **options)}
             made_by = {"protocol": protocol.version, "protocol_sha256": protocol.sha256, "size": called}
-            rows = [{**flown[key], **about, **made_by} for key, (_, about) in zip(keys, flights, strict=True)]
+            rows = []
+            for key, (_, about) in zip(keys, flights, strict=True):
+                rows.append({**flown[key], **about, **made_by})
             for path, more in added:
                 remaining = {r["entry"] for r in more} & {r["entry"] for r in rows} - {
                     r["entry"] for r in more if r["key"] in keys
@@ -145,7 +147,7 @@ def _flights(
     return flights, notes
 
 
-def _write(rows: Sequence[Row], protocol: Protocol, out: Path, asked: Bench, notes: Sequence[str]) -> Leaderboard:
+def _write(rows: Rows, protocol: Protocol, out: Path, asked: Bench, notes: Sequence[str]) -> Leaderboard:
     options = {"metric": protocol.metric, "baseline": protocol.baseline}
     tables = {name: board_table(of_family, title=name, **options) for name, of_family in families_of(rows).items()}
     record = {"protocol": protocol.version, "protocol_sha256": protocol.sha256, "notes": list(notes)}

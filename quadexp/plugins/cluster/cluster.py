@@ -202,7 +202,8 @@ class DaskEngine:
         sweep = Sweep(self.timeout, self.memory, identity(), own_folders(), os.getcwd())
         completed = as_completed(with_results=True, raise_errors=False, loop=client.loop)
         submitted: dict[Future[Any], Task] = {}
-        threads, looked = _threads(client), time.monotonic()
+        threads = _threads(client)
+        looked = time.monotonic()
         alive = looked  # when there was a worker
         try:
             while True:
@@ -219,7 +220,8 @@ class DaskEngine:
                 if not completed.has_ready():
                     time.sleep(LOOKED)
                 if (now := time.monotonic()) - looked > CHECKED:
-                    threads, looked = _threads(client), now
+                    threads = _threads(client)
+                    looked = now
                     alive = now if threads else alive
                     if now - alive > self.wait:
                         why = f"no worker for {self.wait:g} s (engine.wait)"

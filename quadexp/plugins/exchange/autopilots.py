@@ -17,7 +17,6 @@ FLU here, FRD there: x, -y, -z.
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,12 +29,14 @@ from quadexp.plugins.exchange.simulators import MOMENTS, linear_force
 X_LAYOUT = ("fr", "bl", "fl", "br")  # of PX4's quadrotor x, whose SIH has these spins built in
 X_SPINS = (-1, -1, 1, 1)
 FRD = np.diag([1.0, -1.0, -1.0])  # of FLU
-INTEGER, REAL = 6, 9  # types of a QGroundControl parameter file
+INTEGER = 6  # type of a QGroundControl parameter file
+REAL = 9  # likewise
 SECOND_ORDER = (2026, 6)  # first Betaflight with the other curve
 FIRST = (4, 0)  # Betaflight with thrust_linear
 LARGEST_LINEAR = 150  # thrust_linear
 THRUSTS = np.linspace(0.1, 1.0, 200)  # shares of full thrust over which Betaflight's curve is fitted
-SPIN_MIN, SPIN_MAX = 0.15, 0.95  # ArduPilot's defaults
+SPIN_MIN = 0.15  # ArduPilot's default
+SPIN_MAX = 0.95  # likewise
 LOG_SCALE = "the signal s, 0 to 1, is that of the flights' log: the same limits of the motors' outputs must be set"
 
 
@@ -82,7 +83,7 @@ def _rotors(known: Known, order: list[int]) -> dict[str, Quantity]:
     return numbers
 
 
-def px4(known: Known, firmware: str | None, path: Path) -> Written:
+def px4(known: Known) -> Written:
     """Thrust curve, hover and allocation of a vehicle that flies PX4; rotors in the order of the flights' motors."""
     known.require_commands("px4")
     share, lost = _share(known)
@@ -92,7 +93,7 @@ def px4(known: Known, firmware: str | None, path: Path) -> Written:
     return Written(_qgc(numbers), numbers, lost)
 
 
-def px4_sih(known: Known, firmware: str | None, path: Path) -> Written:
+def px4_sih(known: Known) -> Written:
     """The vehicle in PX4's simulation SIH, whose motors are linear."""
     known.require_commands("px4_sih")
     order = known.place("px4_sih", X_LAYOUT, X_SPINS)
@@ -123,14 +124,17 @@ def px4_sih(known: Known, firmware: str | None, path: Path) -> Written:
     return Written(_qgc(numbers), numbers, lost)
 
 
-def ardupilot(known: Known, firmware: str | None, path: Path) -> Written:
+def ardupilot(known: Known) -> Written:
     """Thrust curve and hover; for ends a, b of the spin MOT_THST_EXPO is f (b - a) / (1 - f + f (a + b))."""
     known.require_commands("ardupilot")
     share, lost = _share(known, least=-1.0)
     numbers = {"MOT_THST_EXPO": share, "MOT_THST_HOVER": _hover(known)}
-    f, hover = share.value, numbers["MOT_THST_HOVER"].value
-    a, b = SPIN_MIN, SPIN_MAX
-    low, high = ((1 - f) * s + f * s * s for s in (a, b))
+    f = share.value
+    hover = numbers["MOT_THST_HOVER"].value
+    a = SPIN_MIN
+    b = SPIN_MAX
+    low = (1 - f) * a + f * a * a
+    high = (1 - f) * b + f * b * b
     expo = f * (b - a) / (1 - f + f * (a + b))
     lost += [
         "both numbers hold for MOT_SPIN_MIN 0 and MOT_SPIN_MAX 1",
@@ -143,7 +147,7 @@ def ardupilot(known: Known, firmware: str | None, path: Path) -> Written:
     return Written(text, numbers, lost)
 
 
-def betaflight(known: Known, firmware: str | None, path: Path) -> Written:
+def betaflight(known: Known, firmware: str | None) -> Written:
     """thrust_linear, whole percent; the firmware has two forms of it."""
     known.require_commands("betaflight")
     version = _version(firmware)
@@ -190,11 +194,19 @@ def _departure(e: float, f: float, version: tuple[int, ...]) -> float:
 
 
 PX4_SIH = Target(
-    "px4_sih", px4_sih, ".params", "Parameters for PX4's simulation SIH (QGroundControl's format)",
+    "px4_sih",
+    px4_sih,
+    ".params",
+    "Parameters for PX4's simulation SIH (QGroundControl's format)",
     frozenset({"voltage", "motor_lag"}),
-)  # fmt: skip
+)
 ARDUPILOT = Target("ardupilot", ardupilot, ".param", "Parameters for ArduCopter", frozenset({"voltage"}))
 BETAFLIGHT = Target(
-    "betaflight", betaflight, ".txt", "Lines for Betaflight's command line", frozenset({"voltage", "firmware"})
+    "betaflight",
+    betaflight,
+    ".txt",
+    "Lines for Betaflight's command line",
+    frozenset({"voltage", "firmware"}),
+    asks=("firmware",),
 )
 PX4 = Target("px4", px4, ".params", "Parameters for PX4 (QGroundControl's format)", frozenset({"voltage"}))

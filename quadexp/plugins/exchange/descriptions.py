@@ -62,7 +62,7 @@ def filled(template: str, known: Known, numbers: dict[str, Quantity], **more: An
     return environment.get_template(template).render(name=vehicle.name, moments=MOMENTS, **more) + "\n"
 
 
-def sdf(known: Known, firmware: str | None, path: Path) -> Written:
+def sdf(known: Known) -> Written:
     """A model for Gazebo: a base, and a link, joint and motor model a rotor."""
     known.require_speeds("sdf")
     vehicle = known.vehicle
@@ -79,9 +79,14 @@ def sdf(known: Known, firmware: str | None, path: Path) -> Written:
     for position in np.array(vehicle.rotor_position, float):
         base_inertia -= ROTOR_INERTIA + rotor_mass * (position @ position * np.eye(3) - np.outer(position, position))
     text = filled(
-        "model.sdf", known, numbers, rotor_mass=rotor_mass, rotor_inertia=ROTOR_INERTIA, base_inertia=base_inertia,
+        "model.sdf",
+        known,
+        numbers,
+        rotor_mass=rotor_mass,
+        rotor_inertia=ROTOR_INERTIA,
+        base_inertia=base_inertia,
         base_mass=vehicle.mass - vehicle.n_rotors * rotor_mass,
-    )  # fmt: skip
+    )
     lost += [
         "drag along z, of the body (|v| v), translational lift: the motor model has none",
         "rollingMomentCoefficient: not identified, 0 (and there it acts along the velocity, not across it)",
@@ -91,7 +96,7 @@ def sdf(known: Known, firmware: str | None, path: Path) -> Written:
     return Written(text, numbers, lost)
 
 
-def gym_pybullet(known: Known, firmware: str | None, path: Path) -> Written:
+def gym_pybullet(known: Known) -> Written:
     """The drone CF2X of gym-pybullet-drones: takes the place of its assets/cf2x.urdf."""
     known.require_speeds("gym_pybullet")
     order = known.place("gym_pybullet", ("fr", "br", "bl", "fl"), (-1, 1, -1, 1))
@@ -128,7 +133,7 @@ def gym_pybullet(known: Known, firmware: str | None, path: Path) -> Written:
     return Written(text, numbers, lost)
 
 
-def mjcf(known: Known, firmware: str | None, path: Path) -> Written:
+def mjcf(known: Known) -> Written:
     """A model for MuJoCo: thrusts in N in, linear drag inside."""
     vehicle = known.vehicle
     drag = linear_drag(known)

@@ -39,8 +39,9 @@ class Written(NamedTuple):
 
 @dataclass(frozen=True)
 class Target:
-    """A format. write: makes it, of what is known and the firmware. suffix: of the file. title: what it is for.
-    uses: those of OPTIONS that change it. comment: before and after every line of its head, or of the whole."""
+    """A format. write: makes it, of what is known. suffix: of the file. title: what it is for. uses: those of OPTIONS
+    that change it. comment: before and after every line of its head, or of the whole. asks: what `write` is given
+    beside what is known, of firmware and path."""
 
     name: str
     write: Callable[..., Written]
@@ -48,11 +49,18 @@ class Target:
     title: str
     uses: frozenset[str] = frozenset()
     comment: tuple[str, str, str] = ("", "# ", "")
+    asks: tuple[str, ...] = ()
 
     def __call__(
-        self, source: str, *, out: Path | None = None, conf: Folders = None, vehicle: str | None = None,
-        force: bool = False, **options: Any,
-    ) -> tuple[dict[str, Path], dict[str, Any], list[str]]:  # fmt: skip
+        self,
+        source: str,
+        *,
+        out: Path | None = None,
+        conf: Folders = None,
+        vehicle: str | None = None,
+        force: bool = False,
+        **options: Any,
+    ) -> tuple[dict[str, Path], dict[str, Any], list[str]]:
         """Write the file of a checkpoint folder, or of `vehicle=NAME` alone.
 
         vehicle: name; None: that of the checkpoint. options: see OPTIONS; None where not given.
@@ -66,7 +74,8 @@ class Target:
         known, origin = _known(source, vehicle, conf, options)
         path = out if out is not None else Path(f"{_stem(source)}_{self.name}{self.suffix}")
         check_output(path, force=force)
-        written = self.write(known, options.get("firmware"), path)
+        more = {"path": path, "firmware": options.get("firmware")}
+        written = self.write(known, *(more[name] for name in self.asks))
         lost = [*written.lost, *_lost(known, written.whole)]
         head = [f"{self.title}, written by quadexp {__version__}", *origin, self._voltage(known), ""]
         head += [*_table(written.numbers), "", "What is not in this file:", *(f"- {line}" for line in lost)]
@@ -110,7 +119,8 @@ def _write(path: Path, written: Written, head: str, force: bool) -> dict[str, Pa
 
 def _known(source: str, named: str | None, conf: Folders, options: Mapping[str, Any]) -> tuple[Known, list[str]]:
     """What is known of a source, and lines on its origin."""
-    voltage, lag = options.get("voltage"), options.get("motor_lag")
+    voltage = options.get("voltage")
+    lag = options.get("motor_lag")
     if voltage is not None and not 0 < voltage <= 1000:
         raise UsageError(f"--voltage {voltage:g}: must be above 0 and at most 1000 V")
     if lag is not None and not 0 < lag <= MOST_LAG:
@@ -144,7 +154,9 @@ def _stem(source: str) -> str:
     if source.startswith("vehicle="):
         return source.partition("=")[2]
     path = Path(source).resolve()
-    return path.parent.name if path.is_file() else path.name
+    if path.is_file():
+        return path.parent.name
+    return path.name
 
 
 def _vehicle_line(vehicle: Vehicle) -> list[str]:
@@ -184,6 +196,7 @@ def _records(numbers: Mapping[str, Quantity]) -> list[dict[str, Any]]:
     for name, quantity in numbers.items():
         half = quantity.half_width
         record = {"name": name, "value": np.asarray(quantity.value).tolist(), "unit": quantity.unit}
-        record |= {"half_width": None if half is None else np.asarray(half).tolist(), "origin": quantity.origin}
+        record["half_width"] = None if half is None else np.asarray(half).tolist()
+        record["origin"] = quantity.origin
         records.append(record | {"note": quantity.note})
     return records

@@ -41,7 +41,8 @@ def equations(known: Known) -> ca.Function:
     """f, (x (13,), u (n,)) -> x' (13,), from SX operations alone."""
     vehicle = known.vehicle
     residual = no_residual(vehicle) if known.model is None else known.model.residual(vehicle)
-    x, u = ca.SX.sym("x", N_STATE), ca.SX.sym("u", vehicle.n_rotors)
+    x = ca.SX.sym("x", N_STATE)
+    u = ca.SX.sym("u", vehicle.n_rotors)
     value = corrected_function(vehicle, residual).expand()(x, u, residual.theta)
     return ca.Function("model", [x, u], [ca.densify(ca.cse(value))], ["x", "u"], ["x_dot"])
 
@@ -63,7 +64,7 @@ def _numbers(known: Known) -> dict[str, Quantity]:
     return numbers
 
 
-def casadi(known: Known, firmware: str | None, path: Path) -> Written:
+def casadi(known: Known, path: Path) -> Written:
     """`.casadi`: the serialised function; `.py`: Python that builds it."""
     function = equations(known)
     if path.suffix == ".py":
@@ -78,7 +79,7 @@ def casadi(known: Known, firmware: str | None, path: Path) -> Written:
     return Written("", _numbers(known), [STATE, *lost], content, whole=True)
 
 
-def c(known: Known, firmware: str | None, path: Path) -> Written:
+def c(known: Known) -> Written:
     """One C file without dependencies, with the interface of CasADi's generated code."""
     function = equations(known)
     generator = ca.CodeGenerator("model.c")
@@ -88,22 +89,33 @@ def c(known: Known, firmware: str | None, path: Path) -> Written:
 
 def python_text(function: ca.Function) -> str:
     """A module with `model()`, which builds the function from its operations, one a line, by their names."""
-    names = {code: name for name, code in vars(import_module("casadi")).items() if name.startswith("OP_")}
-    lines = [
-        f'"""{STATE}; u: thrusts of the rotors (N)."""', "from math import inf, nan", "", "import casadi as ca", "",
-        "one, two = ca.SX.unary, ca.SX.binary", "", "", "def model():",
-        f'    x, u = ca.SX.sym("x", {function.size1_in(0)}), ca.SX.sym("u", {function.size1_in(1)})',
-        f"    a, y, w = [x, u], [0] * {function.size1_out(0)}, [0] * {function.sz_w()}",
-    ]  # fmt: skip
-    for i in range(function.n_instructions()):
-        lines.append(f"    {_statement(function, i, names)}")
-    lines.append('    return ca.Function("model", [x, u], [ca.vertcat(*y)], ["x", "u"], ["x_dot"])')
-    return "\n".join(lines) + "\n"
+    names = {}
+    for name, code in vars(import_module("casadi")).items():
+        if name.startswith("OP_"):
+            names[code] = name
+    statements = [f"    {_statement(function, i, names)}" for i in range(function.n_instructions())]
+    body = "\n".join(statements)
+    return f'''"""{STATE}; u: thrusts of the rotors (N)."""
+from math import inf, nan
+
+import casadi as ca
+
+one, two = ca.SX.unary, ca.SX.binary
+
+
+def model():
+    x, u = ca.SX.sym("x", {function.size1_in(0)}), ca.SX.sym("u", {function.size1_in(1)})
+    a, y, w = [x, u], [0] * {function.size1_out(0)}, [0] * {function.sz_w()}
+{body}
+    return ca.Function("model", [x, u], [ca.vertcat(*y)], ["x", "u"], ["x_dot"])
+'''
 
 
 def _statement(function: ca.Function, i: int, names: dict[int, str]) -> str:
     """One operation of an SX function: a constant, an input, an output, or one of one or two work variables."""
-    code, inputs, outputs = function.instruction_id(i), function.instruction_input(i), function.instruction_output(i)
+    code = function.instruction_id(i)
+    inputs = function.instruction_input(i)
+    outputs = function.instruction_output(i)
     if code == ca.OP_CONST:
         return f"w[{outputs[0]}] = ca.SX({function.instruction_constant(i)!r})"
     if code == ca.OP_INPUT:
@@ -114,5 +126,5 @@ def _statement(function: ca.Function, i: int, names: dict[int, str]) -> str:
     return f"w[{outputs[0]}] = {'one' if len(inputs) == 1 else 'two'}(ca.{names[code]}, {operands})"
 
 
-CASADI = Target("casadi", casadi, ".casadi", "The model as a CasADi function")
+CASADI = Target("casadi", casadi, ".casadi", "The model as a CasADi function", asks=("path",))
 C = Target("c", c, ".c", "The model as C", comment=("/*", "", "*/"))

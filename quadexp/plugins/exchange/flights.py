@@ -18,10 +18,11 @@ from quadexp.physics.state import norms
 from quadexp.writer import check_output, write_text, written
 
 POSE = ("p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w")
-BLUE, GREY = (0, 114, 178), (136, 136, 136)  # 8-bit RGB; blue of Okabe and Ito
+BLUE = (0, 114, 178)  # 8-bit RGB, of Okabe and Ito
+GREY = (136, 136, 136)  # 8-bit RGB
 
 
-def write_columns(flight: Flight, path: Path, *, force: bool = True) -> dict[str, Path]:
+def write_columns(flight: Flight, path: Path, *, force: bool) -> dict[str, Path]:
     """One CSV of all columns, and `<path>.json` with units, frames and the flight's record; returns name -> file.
 
     Numbers stand in the shortest digits that give the same double back, so nothing is lost; NaN is an empty cell.
@@ -38,23 +39,24 @@ def write_columns(flight: Flight, path: Path, *, force: bool = True) -> dict[str
     return {"csv": path, "about": write_text(beside, json.dumps(about, indent=1, sort_keys=True) + "\n", force=force)}
 
 
-def write_poses(flight: Flight, path: Path, *, force: bool = True) -> dict[str, Path]:
+def write_poses(flight: Flight, path: Path, *, force: bool) -> dict[str, Path]:
     """TUM, `t x y z qx qy qz qw` (s, m, world ENU; body to world, w last), and the reference as
     `<stem>_reference<suffix>`: `evo_ape tum flight_reference.tum flight.tum` compares them. Returns name -> file."""
-    files, poses = {"tum": path}, {"tum": flight.stack(POSE)}
+    files = {"tum": path}
+    poses = {"tum": flight.stack(POSE)}
     wanted = [f"ref_{name}" for name in POSE]
     if all(name in flight.columns for name in wanted):
         files["reference"] = check_output(path.with_name(f"{path.stem}_reference{path.suffix}"), force=force)
         poses["reference"] = flight.stack(wanted)
-    return {name: write_text(files[name], _tum(flight.t, pose), force=force) for name, pose in poses.items()}
+    for name, pose in poses.items():
+        lines = []
+        for row in np.column_stack([flight.t, pose]).tolist():
+            lines.append(" ".join(map(repr, row)))
+        write_text(files[name], "\n".join(["# t x y z qx qy qz qw", *lines]) + "\n", force=force)
+    return files
 
 
-def _tum(t: np.ndarray, pose: np.ndarray) -> str:
-    lines = [" ".join(map(repr, row)) for row in np.column_stack([t, pose]).tolist()]
-    return "\n".join(["# t x y z qx qy qz qw", *lines]) + "\n"
-
-
-def write_recording(flight: Flight, path: Path, *, force: bool = True) -> dict[str, Path]:
+def write_recording(flight: Flight, path: Path, *, force: bool) -> dict[str, Path]:
     """A recording for the Rerun viewer over the timeline `t`: world/drone, world/flown and world/reference (ENU), the
     distance to the reference (m), every column under columns/, the record as text.
 
@@ -114,7 +116,8 @@ def export_flight(
     if form not in FORMATS:
         raise UsageError(f"--to {form}: no such format; there are {', '.join(FORMATS)}")
     suffix, write = FORMATS[form]
-    source, loaded = Path(flight), read_flight(flight)
+    source = Path(flight)
+    loaded = read_flight(flight)
     target = Path(out) if out is not None else source.with_suffix(suffix)
     if not len(loaded):
         raise UsageError(f"{source}: holds no samples ({loaded.outcome}), there is nothing to export")

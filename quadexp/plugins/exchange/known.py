@@ -29,7 +29,10 @@ from quadexp.physics.state import root_mean_square
 from quadexp.physics.vehicle import Vehicle
 
 AXES = "xyz"
-IDENTIFIED, FROM_FILE, GIVEN, UNKNOWN = "identified", "from the vehicle file", "given", "not known"
+IDENTIFIED = "identified"
+FROM_FILE = "from the vehicle file"
+GIVEN = "given"
+UNKNOWN = "not known"
 SLOPE_STEP = 1e-3  # of a standard error, for slopes of formulas
 STATES = 500  # random states at which a target is compared with the model
 THRUSTS = (0.3, 1.9)  # their range, per thrust in hover
@@ -340,7 +343,9 @@ def _term(air: Any, axis: str, term: str) -> Fact:
     """Coefficient of a model of terms; 0 where it has none."""
     value, error = air.coefficient(axis, term)
     i = AXES.index(axis)
-    return Fact(value, IDENTIFIED, error, air.freedom[i]) if term in air.terms[i] else Fact(0.0, "")
+    if term in air.terms[i]:
+        return Fact(value, IDENTIFIED, error, air.freedom[i])
+    return Fact(0.0, "")
 
 
 def is_per_speed(air: Any) -> bool:

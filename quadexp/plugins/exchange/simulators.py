@@ -14,7 +14,6 @@ Symbols as in known.py; J: inertia, r_i = (x, y, z) and s_i: rotors, tau: motor 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -85,7 +84,9 @@ def hub_lost(known: Known, air: dict[str, Quantity]) -> list[str]:
     """What is lost by RotorPy's form, with these numbers and the others 0."""
     values = {name: number.value for name, number in air.items()}
     lines = known.departure(lambda velocity, thrust: hub_force(known, velocity, thrust, values))
-    return lines if is_blade_element(known) or not lines else [*lines, FOR_LINEAR]
+    if is_blade_element(known) or not lines:
+        return lines
+    return [*lines, FOR_LINEAR]
 
 
 def lag(known: Known) -> tuple[Quantity, list[str]]:
@@ -110,7 +111,7 @@ def plain(value: Any) -> Any:
     return np.asarray(value).tolist()
 
 
-def rotorpy(known: Known, firmware: str | None, path: Path) -> Written:
+def rotorpy(known: Known) -> Written:
     """quad_params of RotorPy's Multirotor, a Python file."""
     known.require_speeds("rotorpy")
     air = per_rotor(known)
@@ -123,21 +124,28 @@ def rotorpy(known: Known, firmware: str | None, path: Path) -> Written:
     rows: dict[str, Any] = {"mass": known.vehicle.mass, "num_rotors": known.vehicle.n_rotors}
     rows |= {name.capitalize(): known.vehicle.inertia_matrix[place] for name, place in MOMENTS.items()}
     rows |= {name: number.value for name, number in numbers.items() if name not in ("mass", "inertia")}
-    rows |= {"k_flap": 0.0, "rotor_speed_min": 0.0, "motor_noise_std": 0.0}
-    text = "import numpy as np\n\nquad_params = {\n"
-    for name, value in rows.items():
-        text += f"    {name!r}: {plain(value)!r},\n"
-    text += "    'rotor_pos': {\n"
-    for i, position in enumerate(known.vehicle.rotor_position):
-        text += f"        'r{i + 1}': np.array({plain(position)!r}),\n"
-    text += (
-        f"    }},\n    'rotor_directions': np.array({plain(known.vehicle.rotor_spin)!r}),\n    'rI': np.zeros(3),\n}}\n"
-    )
+    rows["k_flap"] = 0.0
+    rows["rotor_speed_min"] = 0.0
+    rows["motor_noise_std"] = 0.0
+    settings = "\n".join(f"    {name!r}: {plain(value)!r}," for name, value in rows.items())
+    places = enumerate(known.vehicle.rotor_position, 1)
+    positions = "\n".join(f"        'r{i}': np.array({plain(position)!r})," for i, position in places)
+    text = f"""import numpy as np
+
+quad_params = {{
+{settings}
+    'rotor_pos': {{
+{positions}
+    }},
+    'rotor_directions': np.array({plain(known.vehicle.rotor_spin)!r}),
+    'rI': np.zeros(3),
+}}
+"""
     lost += ["k_d by axis: one for x and y, their mean", "gains of RotorPy's own loops (k_w, k_v, kp_att, kd_att)"]
     return Written(text, numbers, [*lost, *hub_lost(known, air)])
 
 
-def crazyflow(known: Known, firmware: str | None, path: Path) -> Written:
+def crazyflow(known: Known) -> Written:
     """A section of crazyflow's first_principles/params.toml, under the vehicle's name."""
     if known.vehicle.n_rotors != 4:
         raise UsageError(f"--to crazyflow: has four rotors, vehicle={known.vehicle.name} has {known.vehicle.n_rotors}")
@@ -161,20 +169,25 @@ def crazyflow(known: Known, firmware: str | None, path: Path) -> Written:
     x, y, _ = np.array(known.vehicle.rotor_position, float).T
     arm = float(np.abs([x, y]).max())
     rows: dict[str, Any] = {
-        "mass": known.vehicle.mass, "J": known.vehicle.inertia_matrix, "thrust_min": known.vehicle.thrust_min,
-        "thrust_max": known.vehicle.thrust_max, "L": arm, "prop_inertia": 0.0,
-        "rpm2thrust": numbers["rpm2thrust"].value, "rpm2torque": numbers["rpm2torque"].value,
+        "mass": known.vehicle.mass,
+        "J": known.vehicle.inertia_matrix,
+        "thrust_min": known.vehicle.thrust_min,
+        "thrust_max": known.vehicle.thrust_max,
+        "L": arm,
+        "prop_inertia": 0.0,
+        "rpm2thrust": numbers["rpm2thrust"].value,
+        "rpm2torque": numbers["rpm2torque"].value,
         "rotor_dyn_coef": [1 / tau.value, 0.0, 1 / tau.value, 0.0],
         "mixing_matrix": np.array([y / arm, -x / arm, known.vehicle.rotor_spin]),
         "drag_matrix": -np.diag([drag[axis].value for axis in AXES]) + 0.0,
-    }  # fmt: skip
+    }
     text = f'["{known.vehicle.name}"]\n' + "".join(f"{name} = {plain(value)!r}\n" for name, value in rows.items())
     lost += linear_lost(known, drag)
     lost += ["the models so_rpy* (rpy_coef, rpy_rates_coef, cmd_rpy_coef): of the attitude loop, not identified"]
     return Written(text, numbers, lost)
 
 
-def agilicious(known: Known, firmware: str | None, path: Path) -> Written:
+def agilicious(known: Known) -> Written:
     """A quadrotor file of agilicious."""
     known.require_speeds("agilicious")
     quadrants = ("fr", "bl", "br", "fl")
@@ -193,10 +206,16 @@ def agilicious(known: Known, firmware: str | None, path: Path) -> Written:
     rows |= {f"tbm_{quadrant}": vehicle.rotor_position[i] for quadrant, i in zip(quadrants, order, strict=True)}
     rows |= {name: [numbers[name].value, 0.0, 0.0] for name in ("thrust_map", "torque_map")}
     rows |= {
-        "inertia": np.diag(vehicle.inertia_matrix), "omega_max": [vehicle.rate_max] * 3, "motor_omega_min": 0.0,
-        "thrust_min": vehicle.thrust_min, "thrust_max": vehicle.thrust_max, "rotors_config": "cross",
-        "aero_coeff_1": [drag[axis].value for axis in AXES], "aero_coeff_3": [0.0] * 3, "aero_coeff_h": 0.0,
-    }  # fmt: skip
+        "inertia": np.diag(vehicle.inertia_matrix),
+        "omega_max": [vehicle.rate_max] * 3,
+        "motor_omega_min": 0.0,
+        "thrust_min": vehicle.thrust_min,
+        "thrust_max": vehicle.thrust_max,
+        "rotors_config": "cross",
+        "aero_coeff_1": [drag[axis].value for axis in AXES],
+        "aero_coeff_3": [0.0] * 3,
+        "aero_coeff_h": 0.0,
+    }
     text = "".join(f"{name}: {plain(value)}\n" for name, value in rows.items())
     lost += [PRODUCTS, *linear_lost(known, drag)]
     return Written(text, numbers, lost)

@@ -39,9 +39,12 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.world.base import PlantPart
 from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, RotorSpeedPlant, integrate
 
-THRUST, TORQUE, UP, DOWN, DRAG, INERTIA = (
-    slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 10), slice(10, 13), 13,
-)  # fmt: skip
+THRUST = slice(0, 3)
+TORQUE = slice(3, 6)
+UP = slice(6, 8)
+DOWN = slice(8, 10)
+DRAG = slice(10, 13)
+INERTIA = 13  # place of the propeller's inertia
 N_PARAMETERS = 14  # of the function below
 RPM = math.pi / 30  # rad/s
 OTHER_ROTOR = 0.1  # of the thrust per rotor speed squared in hover: more is another vehicle's
@@ -96,8 +99,14 @@ class DroneModelsPlant(RotorSpeedPlant):
         """Parameters of the equations, (14,)."""
         keys = self.keys
         return np.hstack(
-            [keys.thrust_curve, keys.torque_curve, keys.spin_up, keys.spin_down, keys.linear_drag]
-            + [keys.propeller_inertia]
+            [
+                keys.thrust_curve,
+                keys.torque_curve,
+                keys.spin_up,
+                keys.spin_down,
+                keys.linear_drag,
+                keys.propeller_inertia,
+            ]
         )
 
     def initial(self, thrust: npt.ArrayLike) -> np.ndarray:
@@ -116,7 +125,8 @@ class DroneModelsPlant(RotorSpeedPlant):
 
         The lag of the motors, which controller.motor_lag says, is left out, and with it the torque of spinning up.
         """
-        n, vehicle = self.vehicle.n_rotors, self.vehicle
+        n = self.vehicle.n_rotors
+        vehicle = self.vehicle
         z, theta = symbols(ca.SX, z=len(feature_names(n)), theta=N_PARAMETERS)
         command = z[6:]
         rpm = _commanded(ca.fmax(command, 0.1 * vehicle.hover_thrust), theta)
@@ -142,8 +152,10 @@ def _commanded(u: Expression, parameters: Expression) -> Expression:
 
 def _spinning(rpm: Expression, command: Expression, parameters: Expression) -> Expression:
     """n' (n,) (rpm/s)."""
-    up, down = parameters[UP], parameters[DOWN]
-    difference, squares = command - rpm, command**2 - rpm**2
+    up = parameters[UP]
+    down = parameters[DOWN]
+    difference = command - rpm
+    squares = command**2 - rpm**2
     return ca.if_else(difference > 0, up[0] * difference + up[1] * squares, down[0] * difference + down[1] * squares)
 
 
@@ -154,12 +166,15 @@ def wrench(
 
     v: air-relative velocity, body frame (3,) (m/s). rate: (3,) (rad/s). rpm, rpm_rate: (n,) (rpm, rpm/s).
     """
-    spin, m = ca.DM(vehicle.rotor_spin), parameters[TORQUE]
+    spin = ca.DM(vehicle.rotor_spin)
+    m = parameters[TORQUE]
     rotors = vehicle.allocation[:3] @ _thrust(rpm, parameters)
     reaction = ca.dot(spin, m[0] + m[1] * rpm + m[2] * rpm**2)
-    total, change = RPM * ca.dot(spin, rpm), RPM * ca.dot(spin, rpm_rate)
+    total = RPM * ca.dot(spin, rpm)
+    change = RPM * ca.dot(spin, rpm_rate)
     axis = ca.DM([0, 0, 1])
-    momentum, momentum_rate = -parameters[INERTIA] * total * axis, -parameters[INERTIA] * change * axis
+    momentum = -parameters[INERTIA] * total * axis
+    momentum_rate = -parameters[INERTIA] * change * axis
     gyroscopic = -ca.cross(rate, momentum) - momentum_rate
     force = linear_drag_force(v, parameters[DRAG]) + along_z(rotors[0])
     return force, ca.vertcat(rotors[1:], reaction) + gyroscopic
@@ -169,7 +184,8 @@ def derivative(vehicle: Vehicle) -> ca.Function:
     """(s (13 + n,): x and rotor speeds (rad/s), u (n,) (N), parameters) -> s', and the specific force (3,) (m/s^2)."""
     n = vehicle.n_rotors
     s, u, parameters = symbols(ca.SX, s=N_STATE + n, u=n, parameters=N_PARAMETERS)
-    x, rpm = s[:N_STATE], s[N_STATE:] / RPM
+    x = s[:N_STATE]
+    rpm = s[N_STATE:] / RPM
     spinning = _spinning(rpm, _commanded(u, parameters), parameters)
     z = body_features(x, u)
     force, torque = wrench(z[:3], z[3:6], rpm, spinning, vehicle, parameters)
@@ -180,7 +196,8 @@ def derivative(vehicle: Vehicle) -> ca.Function:
 
 def _equations(vehicle: Vehicle) -> Equations:
     """RK4; inner states are the rotor speeds, and there is no noise."""
-    n, f = vehicle.n_rotors, derivative(vehicle)
+    n = vehicle.n_rotors
+    f = derivative(vehicle)
     s, u, noise, parameters, step = symbols(ca.SX, s=N_STATE + n, u=n, noise=0, parameters=N_PARAMETERS, step=1)
     thrusts = limited(u, vehicle.thrust_min, vehicle.thrust_max)
     after = integrate("rk4", lambda state: f(state, thrusts, parameters)[0], s, step)

@@ -35,7 +35,8 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.laws.attitude import heading_of
 from quadexp.provenance import package_identity
 
-HIDDEN, ACTIONS = 16, 4  # widths of the published network
+HIDDEN = 16  # width of the published network
+ACTIONS = 4  # of the published network
 PLACES = np.radians([-45.0, -135.0, 135.0, 45.0])  # front right, back right, back left, front left
 SPINS = np.array([-1.0, 1.0, -1.0, 1.0])
 NEAR = np.radians(25.0)  # of a place: rotors of a stretched X
@@ -61,7 +62,9 @@ class Raptor(Law):
 
     def equations(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """See Law; (1)."""
-        x, state, weights = inputs.state, inputs.reference, package_identity("foundation_policy")
+        x = inputs.state
+        state = inputs.reference
+        weights = package_identity("foundation_policy")
         order, turn = layout(vehicle)
         turned = about_z(ca.DM(turn))  # policy's body to the vehicle's
         level = about_z(heading_of(rotation_matrix(state[ATTITUDE]))) @ turned  # policy's world to ours
@@ -102,7 +105,8 @@ def layout(vehicle: Vehicle) -> tuple[list[int], float]:
     """
     if vehicle.n_rotors == 4:
         x, y, _ = np.array(vehicle.rotor_position, float).T
-        angle, spin = np.arctan2(y, x), np.sign(vehicle.rotor_spin)
+        angle = np.arctan2(y, x)
+        spin = np.sign(vehicle.rotor_spin)
         for turn in np.radians([0.0, 45.0, -45.0, 90.0]):
             apart = np.abs((angle[None] - turn - PLACES[:, None] + np.pi) % (2 * np.pi) - np.pi)
             order = apart.argmin(axis=1)
@@ -116,7 +120,8 @@ def layout(vehicle: Vehicle) -> tuple[list[int], float]:
 
 def about_z(angle: Expression) -> Expression:
     """The rotation, (3, 3), by an angle (rad) about z."""
-    c, s = ca.cos(angle), ca.sin(angle)
+    c = ca.cos(angle)
+    s = ca.sin(angle)
     return ca.vertcat(ca.horzcat(c, -s, 0), ca.horzcat(s, c, 0), ca.horzcat(0, 0, 1))
 
 
@@ -127,7 +132,8 @@ def evaluated(function: Any, observation: Expression, hidden: Expression) -> tup
     of_hidden = _matrix(memory.weights_hidden) @ hidden + _matrix(memory.biases_hidden)
     of_input = _matrix(memory.weights_input) @ seen + _matrix(memory.biases_input)
     gates = 1 / (1 + ca.exp(-(of_hidden + of_input)[: 2 * HIDDEN]))
-    reset, keep = gates[:HIDDEN], gates[HIDDEN:]
+    reset = gates[:HIDDEN]
+    keep = gates[HIDDEN:]
     new = ca.tanh(reset * of_hidden[2 * HIDDEN :] + of_input[2 * HIDDEN :])
     hidden = keep * hidden + (1 - keep) * new
     return _matrix(last.weights) @ hidden + _matrix(last.biases), hidden

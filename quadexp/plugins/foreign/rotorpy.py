@@ -36,7 +36,9 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.world.base import PlantPart
 from quadexp.world.integrator import STEP_INPUTS, STEP_OUTPUTS, Equations, RotorSpeedPlant
 
-PARASITIC, ROTOR_DRAG, INFLOW, LIFT, FLAPPING, LAG, SPEED_MIN, SPEED_MAX = slice(0, 3), 3, 4, 5, 6, 7, 8, 9
+# Places among the parameters.
+PARASITIC = slice(0, 3)
+ROTOR_DRAG, INFLOW, LIFT, FLAPPING, LAG, SPEED_MIN, SPEED_MAX = range(3, 10)
 AIR = slice(0, 7)
 N_PARAMETERS = 10  # of the function below
 SLOWEST = 0.01  # share of rotor_speed_max, below which a controller believes that rotors do not go: w = sqrt(u / k) has
@@ -117,7 +119,8 @@ class RotorPyPlant(RotorSpeedPlant):
 
     def residual(self) -> Residual:
         """All but the lag of the motors, which controller.motor_lag says."""
-        n, vehicle = self.vehicle.n_rotors, self.vehicle
+        n = self.vehicle.n_rotors
+        vehicle = self.vehicle
         z, theta = symbols(ca.SX, z=len(feature_names(n)), theta=N_PARAMETERS)
         command = z[6:]
         w = _commanded_speed(command, vehicle, SLOWEST * theta[SPEED_MAX], theta[SPEED_MAX])
@@ -138,8 +141,10 @@ def wrench(
     """
     k = vehicle.static_thrust_coefficient
     speed = ca.sqrt(ca.sumsqr(v) + TINY_SPEED**2)  # which has a slope at rest
-    force, torque = -speed * air[PARASITIC] * v, type(v)(3, 1)
-    up, rotor_drag = ca.DM([0, 0, 1]), ca.vertcat(air[ROTOR_DRAG], air[ROTOR_DRAG], air[INFLOW])
+    force = -speed * air[PARASITIC] * v
+    torque = type(v)(3, 1)
+    up = ca.DM([0, 0, 1])
+    rotor_drag = ca.vertcat(air[ROTOR_DRAG], air[ROTOR_DRAG], air[INFLOW])
     for i, (position, spin) in enumerate(zip(vehicle.rotor_position, vehicle.rotor_spin, strict=True)):
         r = ca.DM(position)
         hub = v + ca.cross(rate, r)
@@ -168,7 +173,8 @@ def derivative(vehicle: Vehicle) -> ca.Function:
 
 def _equations(vehicle: Vehicle) -> Equations:
     """RK4, the rotors' lag exact; inner states are the rotor speeds, and there is no noise."""
-    n, f = vehicle.n_rotors, derivative(vehicle)
+    n = vehicle.n_rotors
+    f = derivative(vehicle)
     s, u, noise, parameters, step = symbols(ca.SX, s=N_STATE + n, u=n, noise=0, parameters=N_PARAMETERS, step=1)
     command = _commanded_speed(u, vehicle, parameters[SPEED_MIN], parameters[SPEED_MAX])
     lags = parameters[LAG] > 0

@@ -22,7 +22,7 @@ from quadexp.control.part import ControllerPart
 from quadexp.errors import UsageError
 from quadexp.models.build_context import BuildContext
 from quadexp.names import named
-from quadexp.parts.settings import Settings, Triple, key, keyed, part
+from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -30,10 +30,10 @@ AIR = ("c_Dx", "c_Dy", "c_Dz", "k_d", "k_z", "k_flap", "tau_m", "rotor_speed_min
 
 
 @keyed
-class RotorPySE3Keys(Settings):
-    """Gains of RotorPy's SE3 controller, its own defaults; see quadexp/plugins/foreign/rotorpy_se3.py."""
+class RotorPySE3(ControllerPart):
+    """RotorPy's SE3Control (Folk, Paulos, Kumar 2023), the code of the package rotorpy itself, with its own gains."""
 
-    prefix = "controller."
+    former_kind = "rotorpy_se3"
 
     rate: Rate = 100.0
     position_proportional: Triple = key((6.5, 6.5, 15.0), "kp_pos", "[0, 1000]", "1/s^2", tuned="2..60:log")
@@ -41,22 +41,31 @@ class RotorPySE3Keys(Settings):
     attitude_proportional: float = key(310.0, "kp_att", "[0, 1e5]", "1/s^2", tuned="30..1000:log")
     attitude_derivative: float = key(57.0, "kd_att", "[0, 1e4]", "1/s", tuned="8..120:log")
 
+    def build(self, context: BuildContext) -> Any:
+        """See ControllerPart."""
+        return RotorPySE3Controller(context.vehicle, self)
+
 
 class RotorPySE3Controller:
     """A Controller (see control.base); raises UsageError without the package, and for other than four rotors."""
 
-    reference_period, residual, backend = 0.0, None, "interpreted"
-    residual_name, source = "none", ""
+    reference_period = 0.0
+    residual = None
+    backend = "interpreted"
+    residual_name = "none"
+    source = ""
 
-    def __init__(self, vehicle: Vehicle, keys: RotorPySE3Keys) -> None:
+    def __init__(self, vehicle: Vehicle, keys: RotorPySE3) -> None:
         if vehicle.n_rotors != 4:
             raise UsageError(
                 f"vehicle={vehicle.name}: controller=rotorpy_se3 flies 4 rotors, this vehicle has {vehicle.n_rotors}"
             )
-        self.vehicle, self.control_period = vehicle, 1.0 / keys.rate
+        self.vehicle = vehicle
+        self.control_period = 1.0 / keys.rate
         self.node_times = np.zeros(1)
         self._law = _controller(parameters(vehicle, keys))
-        self._law.kp_pos, self._law.kd_pos = np.array(keys.position_proportional), np.array(keys.position_derivative)
+        self._law.kp_pos = np.array(keys.position_proportional)
+        self._law.kd_pos = np.array(keys.position_derivative)
         self._law.g = vehicle.gravity
 
     def forget(self) -> None:
@@ -82,7 +91,7 @@ class RotorPySE3Controller:
         return {}
 
 
-def parameters(vehicle: Vehicle, keys: RotorPySE3Keys) -> dict[str, Any]:
+def parameters(vehicle: Vehicle, keys: RotorPySE3) -> dict[str, Any]:
     """The vehicle as RotorPy's parameter files describe one; what its controller does not use is 0."""
     J = vehicle.inertia_matrix
     return {
@@ -107,14 +116,3 @@ def _controller(parameters: dict[str, Any]) -> Any:
             'controller=rotorpy_se3: needs the package rotorpy: pip install "quadexp[controllers]"'
         ) from None
     return module.SE3Control(parameters)
-
-
-@keyed
-class RotorPySE3(RotorPySE3Keys, ControllerPart):
-    """RotorPy's SE3Control (Folk, Paulos, Kumar 2023), the code of the package rotorpy itself."""
-
-    former_kind = "rotorpy_se3"
-
-    def build(self, context: BuildContext) -> Any:
-        """See ControllerPart."""
-        return RotorPySE3Controller(context.vehicle, part(RotorPySE3Keys, self))

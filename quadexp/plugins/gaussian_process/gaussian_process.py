@@ -81,6 +81,8 @@ CHUNK = 4096  # rows predicted at a time, to limit memory
 JITTER = 1e-8  # added to K of weights that adapt, as in the fit
 SUMS = Path(__file__).with_name("gp_sums.c")
 
+# Output -> features that q of it can express.
+CONTINUED = {"a_x": {"v_x"}, "a_y": {"v_y"}, "a_z": {"v_z", THRUST}}
 LEAST = 1e-12  # of the signal variance: smallest s^2, where q goes through the points
 N_FALLBACK = 5  # numbers of an output's fallback: sigma_f^2 / s^2, c_0 .. c_3
 
@@ -182,7 +184,8 @@ class OutputPosterior(Record, frozen=True):
 
     def predict(self, features: np.ndarray) -> Prediction:
         """Without the prior mean; features (k, d) in physical units."""
-        mean, variance = np.empty(len(features)), np.empty(len(features))
+        mean = np.empty(len(features))
+        variance = np.empty(len(features))
         for start in range(0, len(features), CHUNK):
             rows = slice(start, start + CHUNK)
             distance = (features[rows, None, :] - self.inducing) / self.lengthscale
@@ -193,9 +196,13 @@ class OutputPosterior(Record, frozen=True):
 
 
 def mean_only(
-    output: str, features: tuple[str, ...], points: np.ndarray, alpha: np.ndarray, length: np.ndarray,
+    output: str,
+    features: tuple[str, ...],
+    points: np.ndarray,
+    alpha: np.ndarray,
+    length: np.ndarray,
     signal: float = 1.0,
-) -> OutputPosterior:  # fmt: skip
+) -> OutputPosterior:
     """A posterior mean with these numbers, without a variance: points (n, d), alpha (n,), length (d,)."""
     return OutputPosterior(output, features, points, alpha, length, signal, 0.0, np.zeros((len(alpha),) * 2), 0.0, 0)
 
@@ -239,18 +246,19 @@ class GaussianProcessModel(Model, frozen=True, tag="gaussian_process"):
 
     def residual(self, vehicle: Vehicle, source: str = "", part: str = "best") -> Residual:
         self.require(part, source)
-        parameters = None if self.mean is None else self.mean.parameters
-        terms = self.mean.structure if isinstance(self.mean, TermMean) else None
-        return gaussian_process_residual(vehicle, self.outputs, parameters, source, mean_terms=terms)
+        return self._form(vehicle, source)
 
     def weighed(self, vehicle: Vehicle, residual: Residual) -> Residual:
         """See Model.weighed."""
-        parameters = None if self.mean is None else self.mean.parameters
-        terms = self.mean.structure if isinstance(self.mean, TermMean) else None
-        form = gaussian_process_residual(vehicle, self.outputs, parameters, mean_terms=terms, weighed=True)
+        form = self._form(vehicle, weighed=True)
         return dataclasses.replace(residual, function=form.function, to_compile=form.to_compile, theta=form.theta)
 
-    def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
+    def _form(self, vehicle: Vehicle, source: str = "", *, weighed: bool = False) -> Residual:
+        parameters = None if self.mean is None else self.mean.parameters
+        terms = self.mean.structure if isinstance(self.mean, TermMean) else None
+        return gaussian_process_residual(vehicle, self.outputs, parameters, source, mean_terms=terms, weighed=weighed)
+
+    def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float) -> Adapting:
         return adapting_process(residual, self.outputs, deviation)
 
     @property
@@ -259,28 +267,32 @@ class GaussianProcessModel(Model, frozen=True, tag="gaussian_process"):
         return f"Gaussian processes {chosen} ({self.settings['inducing']} points, {self.settings['method']})"
 
     def described(self, report: Callable[[], Mapping[str, Any]]) -> tuple[dict[str, Any], list[str]]:
-        outputs, lines = {}, []
+        outputs = {}
+        lines = []
         for output in self.outputs:
             scales = output.lengthscale.tolist()
-            signal, noise = float(np.sqrt(output.signal_variance)), float(np.sqrt(output.noise_variance))
+            signal = float(np.sqrt(output.signal_variance))
+            noise = float(np.sqrt(output.noise_variance))
             outputs[output.output] = {
-                "features": list(output.features), "inducing": len(output.alpha), "lengthscale": scales,
-                "signal_std": signal, "noise_std": noise,
-            }  # fmt: skip
+                "features": list(output.features),
+                "inducing": len(output.alpha),
+                "lengthscale": scales,
+                "signal_std": signal,
+                "noise_std": noise,
+            }
             text = ", ".join(f"{name} {scale:.3g}" for name, scale in zip(output.features, scales, strict=True))
             stds = f"signal {signal:.3g}, noise {noise:.3g} {describe(output.output, 'residuals').unit}"
             lines.append(f"{output.output:<12}{len(output.alpha)} points, length scales {text}; {stds}")
         return {"outputs": outputs}, [*lines, *super().described(report)[1]]
 
 
-def adapting_process(residual: Residual, outputs: Sequence[OutputPosterior], deviation: float | None) -> Adapting:
-    """Weights alpha that adapt. deviation: s of quadexp.plugins.remedies.online, m/s^2; None: that of each fit."""
+def adapting_process(residual: Residual, outputs: Sequence[OutputPosterior], s: float) -> Adapting:
+    """Weights alpha that adapt. s: as in quadexp.plugins.remedies.online, m/s^2."""
     sizes = [len(output.alpha) for output in outputs]
     ends = len(residual.theta) - sum(sizes) + np.cumsum([0, *sizes])
     blocks = []
     for output, first, end in zip(outputs, ends[:-1], ends[1:], strict=True):
         if output.output in AXIS:
-            s = float(np.sqrt(output.signal_variance)) if deviation is None else deviation
             scaled = output.inducing / output.lengthscale
             distance = ((scaled[:, None] - scaled[None]) ** 2).sum(axis=2)
             lower = np.linalg.cholesky(np.exp(-0.5 * distance) + JITTER * np.eye(end - first))
@@ -290,9 +302,14 @@ def adapting_process(residual: Residual, outputs: Sequence[OutputPosterior], dev
 
 
 def gaussian_process_residual(
-    vehicle: Vehicle, outputs: Sequence[OutputPosterior], mean_parameters: npt.ArrayLike | None = None,
-    source: str = "", *, mean_terms: TermStructure | None = None, weighed: bool = False,
-) -> Residual:  # fmt: skip
+    vehicle: Vehicle,
+    outputs: Sequence[OutputPosterior],
+    mean_parameters: npt.ArrayLike | None = None,
+    source: str = "",
+    *,
+    mean_terms: TermStructure | None = None,
+    weighed: bool = False,
+) -> Residual:
     """Residual of one or more GP outputs.
 
     mean_parameters: [D (3,), b (3,), kappa] of the linear-drag mean function (quadexp.models.linear_drag), or None.
@@ -302,11 +319,13 @@ def gaussian_process_residual(
     n_mean = N_PARAMETERS if mean_terms is None else mean_terms.n_parameters
     mean = np.zeros(n_mean) if mean_parameters is None else np.asarray(mean_parameters, float)
     scales = [1.0 / (np.sqrt(2.0) * o.lengthscale) for o in outputs]
-    points = [(o.inducing * scale).T.ravel() for o, scale in zip(outputs, scales, strict=True)]
+    points = []
+    for o, scale in zip(outputs, scales, strict=True):
+        points.append((o.inducing * scale).T.ravel())
     known = [fallback(o, continued=mean_terms is None) for o in outputs] if weighed else []
-    factors = [
-        (o.variance_factor * np.sqrt(f[0] / o.signal_variance)).T.ravel() for o, f in zip(outputs, known, strict=False)
-    ]
+    factors = []
+    for o, f in zip(outputs, known, strict=False):
+        factors.append((o.variance_factor * np.sqrt(f[0] / o.signal_variance)).T.ravel())
     theta = np.concatenate([mean, *scales, *points, *(o.alpha for o in outputs), *known, *factors])
 
     names = feature_names(vehicle.n_rotors)
@@ -331,24 +350,24 @@ def fallback(posterior: OutputPosterior, *, continued: bool) -> np.ndarray:
 
     continued: whether q may be fitted; else it is 0, as where the features are not those of q.
     """
-    output, points = posterior.output, posterior.inducing
-    at_points, freedom, c = posterior.predict(points).mean, len(points), np.zeros(N_FALLBACK - 1)
+    output = posterior.output
+    points = posterior.inducing
+    at_points = posterior.predict(points).mean
+    freedom = len(points)
+    c = np.zeros(N_FALLBACK - 1)
     along = f"v_{output[-1]}"
-    if continued and along in posterior.features and {*posterior.features} <= _continued(output):
+    if continued and along in posterior.features and {*posterior.features} <= CONTINUED.get(output, set()):
         columns = {name: points[:, i] for i, name in enumerate(posterior.features)}
-        v, thrust = columns[along], columns.get(THRUST, np.zeros(freedom))
+        v = columns[along]
+        thrust = columns.get(THRUST, np.zeros(freedom))
         design = np.column_stack([np.ones(freedom), v, v * np.abs(v), thrust])
         c, _, rank, _ = np.linalg.lstsq(design, at_points)
-        at_points, freedom = at_points - design @ c, freedom - rank
+        at_points = at_points - design @ c
+        freedom = freedom - rank
         if freedom < 1:  # as many coefficients as points: nothing says how wrong q is
             return fallback(posterior, continued=False)
     misfit = max(float(at_points @ at_points) / freedom, LEAST * posterior.signal_variance)
     return np.array([posterior.signal_variance / misfit, *c])
-
-
-def _continued(output: str) -> set[str]:
-    """Features that q of an output can express."""
-    return {f"v_{output[-1]}", *([THRUST] if output == "a_z" else [])} if output in AXIS else set()
 
 
 def _matrix_sums(
@@ -357,16 +376,27 @@ def _matrix_sums(
     """(alpha k) 1 of every output and (alpha k)^T d of every feature, in matrix operations; with factors F also
     ||F k||^2 and (F^T F k k)^T d."""
     n_alpha, n_point = _sizes(structure)
-    distance = [feature - point for feature, point in zip(ca.vertsplit(scaled), split(points, n_point), strict=True)]
-    of_output = [i for i, (_, features, _) in enumerate(structure) for _ in features]
-    exponent = [sum(d * d for d, i in zip(distance, of_output, strict=True) if i == o) for o in range(len(structure))]
+    distance = []
+    for feature, point in zip(ca.vertsplit(scaled), split(points, n_point), strict=True):
+        distance.append(feature - point)
+    of_output = []
+    for i, (_, features, _) in enumerate(structure):
+        of_output += [i] * len(features)
+    exponent = []
+    for o in range(len(structure)):
+        exponent.append(sum(d * d for d, i in zip(distance, of_output, strict=True) if i == o))
     kernel = ca.exp(-ca.vertcat(*exponent))  # all outputs in one vectorised loop
-    weighted, kernels = split(alpha * kernel, n_alpha), split(kernel, n_alpha)
-    values = [ca.dot(a, k) for a, k in zip(split(alpha, n_alpha), kernels, strict=True)]
+    weighted = split(alpha * kernel, n_alpha)
+    kernels = split(kernel, n_alpha)
+    values = []
+    for a, k in zip(split(alpha, n_alpha), kernels, strict=True):
+        values.append(ca.dot(a, k))
     sums = values, [ca.dot(weighted[i], d) for d, i in zip(distance, of_output, strict=True)]
     if not factor.numel():
         return *sums, [], []
-    roots = [ca.reshape(f, m, m) for f, m in zip(split(factor, [m * m for m in n_alpha]), n_alpha, strict=True)]
+    roots = []
+    for f, m in zip(split(factor, [m * m for m in n_alpha]), n_alpha, strict=True):
+        roots.append(ca.reshape(f, m, m))
     known = [f @ k for f, k in zip(roots, kernels, strict=True)]
     back = [f.T @ q * k for f, q, k in zip(roots, known, kernels, strict=True)]
     slopes = [ca.dot(back[i], d) for d, i in zip(distance, of_output, strict=True)]
@@ -377,16 +407,18 @@ def _compiled_sums(
     structure: Structure, scaled: Expression, points: Expression, alpha: Expression, factor: Expression
 ) -> Sums:
     """As _matrix_sums, by gp_sums.c, one call per output."""
-    shapes, dense = [(m, len(features)) for _, features, m in structure], ca.Sparsity.dense
+    shapes = [(m, len(features)) for _, features, m in structure]
+    dense = ca.Sparsity.dense
     weighed = bool(factor.numel())
-    kernels = {
-        (m, d): handwritten(
-            f"gp_sums_{m}_{d}{'_weighed' * weighed}", SUMS, {"POINTS": m, "FEATURES": d, "FACTOR": m * weighed},
+    kernels = {}
+    for m, d in shapes:
+        kernels[m, d] = handwritten(
+            f"gp_sums_{m}_{d}{'_weighed' * weighed}",
+            SUMS,
+            {"POINTS": m, "FEATURES": d, "FACTOR": m * weighed},
             {"feature": dense(d), "points": dense(m * d), "alpha": dense(m), "factor": dense(m * m * weighed)},
             {"value": dense(1), "slope": dense(d), "known": dense(weighed), "known_slope": dense(d * weighed)},
         )
-        for m, d in shapes
-    }  # fmt: skip
     sizes = zip(*((d, m * d, m, m * m * weighed) for m, d in shapes), strict=True)
     arguments = zip(*map(split, (scaled, points, alpha, factor), sizes), strict=True)
     results = [kernels[shape](*of_output) for shape, of_output in zip(shapes, arguments, strict=True)]
@@ -399,9 +431,14 @@ def _sizes(structure: Structure) -> tuple[list[int], list[int]]:
 
 
 def _scalar_functions(
-    names: Sequence[str], structure: Structure, n_mean: int, *, with_mean: bool, mean_terms: TermStructure | None,
+    names: Sequence[str],
+    structure: Structure,
+    n_mean: int,
+    *,
+    with_mean: bool,
+    mean_terms: TermStructure | None,
     weighed: bool,
-) -> tuple[ca.Function, ca.Function]:  # fmt: skip
+) -> tuple[ca.Function, ca.Function]:
     """The functions before and after the sums over points.
 
     (z, s) -> s phi of all features; (z, mean, s, fallback, sums ..) -> y, dy/dz with structural zeros. mean: parameters
@@ -418,18 +455,22 @@ def _scalar_functions(
         known_slope=weighed * n_features,
         fallback=weighed * N_FALLBACK * len(structure),
     )
-    y, dy_dz = ca.SX(N_OUTPUTS, 1), ca.SX(N_OUTPUTS, len(names))
+    y = ca.SX(N_OUTPUTS, 1)
+    dy_dz = ca.SX(N_OUTPUTS, len(names))
     if with_mean:
         y[:3] = linear_drag_acceleration(z, mean) if mean_terms is None else mean_terms.acceleration(z, mean)
         dy_dz[:3, :] = ca.jacobian(y[:3], z)
     phi: list[Expression] = []
     for i, (output, features, _) in enumerate(structure):
-        row, share = OUTPUTS.index(output), 1.0
-        correction, d_share = value[i], 0.0
+        row = OUTPUTS.index(output)
+        share = 1.0
+        correction = value[i]
+        d_share = 0.0
         if weighed:
             ratio, *c = ca.vertsplit(numbers[N_FALLBACK * i : N_FALLBACK * (i + 1)])
-            share, far = 1 / (1 + ratio - known[i]), ca.SX(0)
-            if mean_terms is None and {*features} <= _continued(output):
+            share = 1 / (1 + ratio - known[i])
+            far = ca.SX(0)
+            if mean_terms is None and {*features} <= CONTINUED.get(output, set()):
                 v = z[AXIS[output]]
                 far = c[0] + c[1] * v + c[2] * v * abs(v) + c[3] * ca.sum1(z[len(FEATURES) :])
             d_share = (value[i] - far) * share**2
@@ -447,9 +488,13 @@ def _scalar_functions(
 
 
 def fit_gp(
-    dataset: ResidualDataset, settings: GPConfig | None = None, *, start: GaussianProcessModel | None = None,
-    callback: Callback = quiet, intervals: bool = True,
-) -> GaussianProcessModel:  # fmt: skip
+    dataset: ResidualDataset,
+    settings: GPConfig | None = None,
+    *,
+    start: GaussianProcessModel | None = None,
+    callback: Callback = quiet,
+    intervals: bool = True,
+) -> GaussianProcessModel:
     """Fit every output named in `settings.features` to all rows (up to settings.max_rows) of the dataset.
 
     start: model with the same outputs and sizes, whose values replace the first stages; a quarter of the iterations
@@ -470,7 +515,8 @@ def fit_gp(
     if dataset.n_rows < settings.inducing:
         few = f"model.inducing: {settings.inducing} points from {dataset.n_rows} rows"
         raise DataError(f"{few}; collect more, or ask for fewer points")
-    drag, scaled = baseline(dataset, intervals=intervals), with_common_scale(dataset)
+    drag = baseline(dataset, intervals=intervals)
+    scaled = with_common_scale(dataset)
     dataset = scaled.dataset
     mean: LinearDrag | TermMean | None = drag if settings.mean == "linear_drag" else None
     if settings.mean in MEANS:

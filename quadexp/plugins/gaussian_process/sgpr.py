@@ -62,17 +62,24 @@ class Hyperparameters:
 
 
 def fit_output(
-    z: np.ndarray, target: np.ndarray, settings: Any, iterations: int, rng: np.random.Generator, start: Any,
+    z: np.ndarray,
+    target: np.ndarray,
+    settings: Any,
+    iterations: int,
+    rng: np.random.Generator,
+    start: Any,
     report: Callable[[float], None],
-) -> tuple[Any, ...]:  # fmt: skip
+) -> tuple[Any, ...]:
     """The numbers of one output's posterior (OutputPosterior, from inducing on) from its features z (k, d) and target.
 
     settings: GPConfig, of which method, inducing and jitter are read. start: the same output's posterior, its values
     replace the first stages. report: called with the completed share.
     """
-    centre, spread = z.mean(axis=0), z.std(axis=0)
+    centre = z.mean(axis=0)
+    spread = z.std(axis=0)
     unit = root_mean_square(target) or 1.0
-    x, y = (z - centre) / spread, target / unit
+    x = (z - centre) / spread
+    y = target / unit
     order = rng.permutation(len(x))
 
     if start is not None and settings.method == "sgpr":
@@ -93,19 +100,26 @@ def fit_output(
         if start is None and len(x) > CANDIDATE_ROWS:
             part = GPRegression(x[candidates], y[candidates], guess, points, settings.jitter)
             maximise(part, STAGE_ITERATIONS, lambda k: report(0.15 + 0.25 * k / STAGE_ITERATIONS))
-            points, guess = part.inducing_points, part.hyperparameters
+            points = part.inducing_points
+            guess = part.hyperparameters
         whole = GPRegression(x, y, guess, points, settings.jitter)
         bound = maximise(whole, iterations, lambda k: report(0.4 + 0.6 * k / iterations))
-        points, guess = whole.inducing_points, whole.hyperparameters
+        points = whole.inducing_points
+        guess = whole.hyperparameters
         alpha, factor = sparse_posterior(x, y, points, guess, settings.jitter)
     else:
         alpha, factor = exact_posterior(points, y[rows], guess)
 
     return (
-        points * spread + centre, alpha * unit, guess.lengthscale * spread, guess.signal_variance * unit**2,
-        guess.noise_variance * unit**2, factor * unit, bound - float(np.log(unit)),
+        points * spread + centre,
+        alpha * unit,
+        guess.lengthscale * spread,
+        guess.signal_variance * unit**2,
+        guess.noise_variance * unit**2,
+        factor * unit,
+        bound - float(np.log(unit)),
         len(alpha) if settings.method == "subset" else len(x),
-    )  # fmt: skip
+    )
 
 
 def greedy_points(x: np.ndarray, lengthscale: np.ndarray, count: int) -> np.ndarray:
@@ -149,7 +163,8 @@ class GPRegression(gpytorch.models.ExactGP):
         )
         super().__init__(torch.as_tensor(x), torch.as_tensor(y), likelihood)
         base = gpytorch.kernels.ScaleKernel(gpytorch.kernels.RBFKernel(ard_num_dims=x.shape[1]))
-        self.mean_module, self.jitter = gpytorch.means.ZeroMean(), jitter
+        self.mean_module = gpytorch.means.ZeroMean()
+        self.jitter = jitter
         self.covar_module = self.base = base
         self.points = None if inducing is None else torch.nn.Parameter(torch.tensor(inducing))
         self.double()
@@ -180,7 +195,8 @@ class GPRegression(gpytorch.models.ExactGP):
 
     def _bound(self, z: torch.Tensor) -> torch.Tensor:
         """Titsias' bound per row; see the module."""
-        signal, noise = self.base.outputscale, self.likelihood.noise
+        signal = self.base.outputscale
+        noise = self.likelihood.noise
         eye, (x,), y = torch.eye(len(z), dtype=z.dtype), self.train_inputs, self.train_targets
         lower = torch.linalg.cholesky(self.base(z).to_dense() + self.jitter * signal * eye)
 
@@ -191,7 +207,8 @@ class GPRegression(gpytorch.models.ExactGP):
         chunks = list(zip(x.split(CHUNK), y.split(CHUNK), strict=True))
         again = partial(checkpoint, sums, use_reentrant=False) if len(chunks) > 1 else sums
         s, b = (torch.stack(parts).sum(dim=0) for parts in zip(*(again(*chunk) for chunk in chunks), strict=True))
-        n, factor = len(x), torch.linalg.cholesky(s + noise * eye)
+        n = len(x)
+        factor = torch.linalg.cholesky(s + noise * eye)
         whitened = torch.linalg.solve_triangular(factor, b[:, None], upper=False)
         quadratic = (y @ y - whitened.square().sum()) / noise
         determinant = (n - len(z)) * noise.log() + 2 * factor.diagonal().log().sum()
@@ -218,15 +235,21 @@ def maximise(model: GPRegression, iterations: int, report: Callable[[int], None]
             return FAILED, np.zeros_like(flat)
         gradient = parameters_to_vector([p.grad for p in parameters]).numpy()
         finite = bool(np.isfinite(value.item()) and np.all(np.isfinite(gradient)))
-        return (value.item(), gradient) if finite else (FAILED, np.zeros_like(flat))
+        if finite:
+            return value.item(), gradient
+        return FAILED, np.zeros_like(flat)
 
     flat = parameters_to_vector(parameters).detach().numpy()
     with warnings.catch_warnings(), gpytorch.settings.max_cholesky_size(EXACT_LIMIT):
         warnings.simplefilter("ignore", NumericalWarning)
         result = minimize(
-            loss, flat, jac=True, method="L-BFGS-B", callback=lambda _: report(next(done)),
+            loss,
+            flat,
+            jac=True,
+            method="L-BFGS-B",
+            callback=lambda _: report(next(done)),
             options={"maxiter": iterations, "maxcor": 20, "ftol": 1e-9, "gtol": 1e-6},
-        )  # fmt: skip
+        )
     vector_to_parameters(torch.tensor(result.x), parameters)
     return -float(result.fun)
 
@@ -245,7 +268,9 @@ def sparse_posterior(
     With L L' = K_ZZ + jitter, A = L^-1 K_ZX / sigma_n, B = I + A A': alpha = sigma_f^2 L^-T B^-1 A y / sigma_n and
     F'F = sigma_f^4 L^-T (I - B^-1) L^-1. All through L, whose condition number is the square root of that of K_ZZ.
     """
-    m, sf2, sn = len(inducing), p.signal_variance, np.sqrt(p.noise_variance)
+    m = len(inducing)
+    sf2 = p.signal_variance
+    sn = np.sqrt(p.noise_variance)
     lower = cholesky(sf2 * (rbf(inducing, inducing, p.lengthscale) + jitter * np.eye(m)), lower=True)
     a = solve_triangular(lower, sf2 * rbf(inducing, x, p.lengthscale), lower=True) / sn
     eigenvalue, vector = eigh(a @ a.T)
@@ -259,7 +284,8 @@ def sparse_posterior(
 
 def exact_posterior(x: np.ndarray, y: np.ndarray, p: Hyperparameters) -> tuple[np.ndarray, np.ndarray]:
     """Weights alpha (n,) and variance factor F (n, n) of the exact GP: (K + sigma_n^2 I)^-1 y and its root."""
-    n, sf2 = len(x), p.signal_variance
+    n = len(x)
+    sf2 = p.signal_variance
     lower = cholesky(sf2 * rbf(x, x, p.lengthscale) + p.noise_variance * np.eye(n), lower=True)
     inverse = solve_triangular(lower, np.eye(n), lower=True)
     return sf2 * (inverse.T @ (inverse @ y)), np.asarray(np.linalg.qr(sf2 * inverse, mode="r"))

@@ -64,13 +64,16 @@ class Tracking(gymnasium.Env[np.ndarray, np.ndarray]):
             self.plant = build_world(config, self.vehicle)
             trajectory = build_trajectory(config.trajectory, self.vehicle)
         self.task = Task(self.vehicle, action, future)
-        self.period, self.lost, self.spread = 1.0 / rate, lost, np.asarray(spread, float)
+        self.period = 1.0 / rate
+        self.lost = lost
+        self.spread = np.asarray(spread, float)
         self._skip = round(spacing * rate)
         self._steps = int(np.floor(trajectory.duration * rate + 1e-6))
         self._episode = self._steps if episode is None else min(self._steps, round(episode * rate))
         times = np.arange(self._steps + 1 + self._skip * future) * self.period
         reference = flat_reference(trajectory, np.minimum(times, trajectory.duration), self.vehicle)
-        self._reference, self._input = reference.state, reference.input
+        self._reference = reference.state
+        self._input = reference.input
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (self.task.actions,), np.float32)
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (self.task.size,), np.float32)
 

@@ -66,7 +66,9 @@ class Policy(ControllerPart):
     @property
     def folders(self) -> tuple[str, ...]:
         """See Part; also those of a user's function."""
-        return own_folders() if self.is_function else ()
+        if self.is_function:
+            return own_folders()
+        return ()
 
     def build(self, context: BuildContext) -> Any:
         """See ControllerPart."""
@@ -92,14 +94,19 @@ class PolicyController:
 
     Raises UsageError where it gives something else, or its rate does not divide the control rate."""
 
-    reference_period, residual, backend = 0.0, None, "interpreted"
-    residual_name, source = "none", ""
+    reference_period = 0.0
+    residual = None
+    backend = "interpreted"
+    residual_name = "none"
+    source = ""
 
     def __init__(self, vehicle: Vehicle, settings: Policy, act: Function) -> None:
-        self.vehicle, self.control_period = vehicle, 1.0 / settings.rate
+        self.vehicle = vehicle
+        self.control_period = 1.0 / settings.rate
         self.node_times = settings.spacing * np.arange(settings.future + 1)
         self.task = Task(vehicle, settings.action, settings.future)
-        self._act, self._said = act, f"{KEY}={settings.policy}"
+        self._act = act
+        self._said = f"{KEY}={settings.policy}"
         every = settings.rate / settings.policy_rate
         self._every = round(every)
         if self._every < 1 or abs(every - self._every) > 1e-9:

@@ -34,7 +34,9 @@ class Task:
     """The observations and actions of a vehicle. action: "thrusts" or "rates". future: points of the reference."""
 
     def __init__(self, vehicle: Vehicle, action: Action, future: int) -> None:
-        self.vehicle, self.action, self.future = vehicle, action, future
+        self.vehicle = vehicle
+        self.action = action
+        self.future = future
         self.actions = vehicle.n_rotors if action == "thrusts" else 4
         self.size = PLAIN + self.actions + 3 * future
         self._room = np.array([vehicle.thrust_min, vehicle.thrust_max]) / vehicle.hover_thrust

@@ -124,7 +124,7 @@ class RotorForceModel(GaussianProcessModel, frozen=True, tag="rotor_force"):
         """Itself: outside its data it is its mean."""
         return residual
 
-    def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
+    def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float) -> Adapting:
         """See Model.adapting."""
         raise UsageError(f"{residual.source}: {self.kind} has no weights that adapt in flight")
 

@@ -113,10 +113,17 @@ class Cascade(Law):
 
     def equations(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """See Law; (1) to (3)."""
-        period, g = inputs.period, vehicle.gravity
-        x, state, path, yaw = inputs.state, inputs.reference, inputs.path, inputs.heading
-        R, v, w = rotation_matrix(x[ATTITUDE]), x[VELOCITY], x[RATE]
-        change, turn = (v - memory.velocity) / period, (w - memory.rate) / period
+        period = inputs.period
+        g = vehicle.gravity
+        x = inputs.state
+        state = inputs.reference
+        path = inputs.path
+        yaw = inputs.heading
+        R = rotation_matrix(x[ATTITUDE])
+        v = x[VELOCITY]
+        w = x[RATE]
+        change = (v - memory.velocity) / period
+        turn = (w - memory.rate) / period
         acceleration, of_velocity = filtered(memory.velocity_filter, change, self.velocity_cutoff, period)
         turning, of_rate = filtered(memory.rate_filter, turn, self.rate_cutoff, period)
 
@@ -156,7 +163,9 @@ class Cascade(Law):
         rate_integral = limited(rate_integral, -bound, bound)
 
         remembered = {"velocity_integral": integral, "velocity": v, "velocity_filter": of_velocity}
-        remembered |= {"rate_integral": rate_integral, "rate": w, "rate_filter": of_rate}
+        remembered["rate_integral"] = rate_integral
+        remembered["rate"] = w
+        remembered["rate_filter"] = of_rate
         return {"command": u, **remembered}
 
 
@@ -172,8 +181,11 @@ def wanted_velocity(towards: Expression, reference: Expression, limit: tuple[flo
 
     limit: horizontal, up, down. Horizontally as much of `reference` is added as keeps the sum within the limit.
     """
-    first, second = towards[:2], reference[:2]
-    a, b, c = ca.sumsqr(second), ca.dot(first, second), ca.sumsqr(first) - limit[0] ** 2
+    first = towards[:2]
+    second = reference[:2]
+    a = ca.sumsqr(second)
+    b = ca.dot(first, second)
+    c = ca.sumsqr(first) - limit[0] ** 2
     inside = c < 0  # of the way to the reference alone
     share = (-b + ca.sqrt(ca.fmax(b**2 - a * c, 0))) / ca.fmax(a, 1e-12)
     within = first + limited(share, 0, 1) * second
@@ -185,9 +197,11 @@ def wanted_velocity(towards: Expression, reference: Expression, limit: tuple[flo
 def wanted_thrust(a: Expression, vehicle: Vehicle, keys: Cascade) -> tuple[Expression, Expression, Expression]:
     """f of (2) within the thrust that there is, and before that, (3,) each, world, per mass (m/s^2); and what the
     limits of tilt and thrust leave of the wanted horizontal acceleration, (2,) (m/s^2)."""
-    g, top = vehicle.gravity, vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
+    g = vehicle.gravity
+    top = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
     vertical = g if keys.decoupled else ca.fmax(a[2] + g, 1e-3)
-    size, widest = ca.norm_2(a[:2]), math.tan(keys.tilt_limit) * vertical
+    size = ca.norm_2(a[:2])
+    widest = math.tan(keys.tilt_limit) * vertical
     level = a[:2] * ca.fmin(1, widest / ca.fmax(size, 1e-12))
     z = ca.vertcat(level, vertical)
     z = z / ca.norm_2(z)
@@ -208,7 +222,8 @@ def wanted_rate(R: Expression, R_d: Expression, keys: Cascade) -> Expression:
     reduced = ca.vertcat(turn, -z_d[1] / (2 * turn), z_d[0] / (2 * turn), 0)  # q^-1 o q_red
     mixed = rotation_matrix(reduced).T @ (R.T @ R_d)  # about z by the rest of the yaw
     angle = weight * ca.atan2(mixed[1, 0] - mixed[0, 1], mixed[0, 0] + mixed[1, 1])
-    c, s = ca.cos(angle / 2), ca.sin(angle / 2)
+    c = ca.cos(angle / 2)
+    s = ca.sin(angle / 2)
     error = ca.vertcat(reduced[1] * c + reduced[2] * s, reduced[2] * c - reduced[1] * s, reduced[0] * s)
     sign = ca.if_else(reduced[0] * c < 0, -1, 1)
     proportional = np.array(keys.attitude_proportional) / [1, 1, weight if weight > 1e-4 else 1]

@@ -102,7 +102,8 @@ class FlatnessBased(Law):
         wrench, angle = wanted(inputs.state, inputs.path, inputs.heading, inputs.delivered, of_belief, inputs.air)
         thrust = allocation(vehicle, self.allocation, self.wrench_weight)(wrench / inputs.belief.thrust_scale)
         margin = AT_LIMIT * (vehicle.thrust_max - vehicle.thrust_min)
-        low, high = vehicle.thrust_min + margin, vehicle.thrust_max - margin
+        low = vehicle.thrust_min + margin
+        high = vehicle.thrust_max - margin
         held = ca.sum1(ca.logic_or(thrust < low, thrust > high))
         return {"command": thrust, "held": held, "error_tilt": angle[0], "error_yaw": angle[1]}
 
@@ -118,8 +119,11 @@ def _wrench(
     air: Expression,
 ) -> tuple[Expression, Expression]:
     """Wanted thrust and torques (4,), and the errors of tilt and yaw (2,). air: by the model, (6,)."""
-    m, J, up = vehicle.mass, ca.DM(vehicle.inertia_matrix), ca.DM([0, 0, 1])
-    R, w = rotation_matrix(x[ATTITUDE]), x[RATE]
+    m = vehicle.mass
+    J = ca.DM(vehicle.inertia_matrix)
+    up = ca.DM([0, 0, 1])
+    R = rotation_matrix(x[ATTITUDE])
+    w = x[RATE]
     x_b, y_b, z_b = ca.horzsplit(R)
     p_r, v_r, a_r, j_r, s_r = ca.horzsplit(path)
 

@@ -47,7 +47,8 @@ from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.laws.attitude import attitude_distance, attitude_error, moving_attitude
 
-E_X, E_Z = ca.DM([1, 0, 0]), ca.DM([0, 0, 1])
+E_X = ca.DM([1, 0, 0])
+E_Z = ca.DM([0, 0, 1])
 
 
 @keyed
@@ -93,17 +94,27 @@ class Geometric(Law):
 
     def equations(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """See Law; (1) to (3)."""
-        m, J = vehicle.mass, ca.DM(vehicle.inertia_matrix)
-        x, state, thrust, path, belief = inputs.state, inputs.reference, inputs.thrusts, inputs.path, inputs.belief
-        air, air_r = inputs.air, inputs.air_reference
-        gravity, G = ca.DM([0, 0, -vehicle.gravity]), ca.DM(vehicle.allocation)
+        m = vehicle.mass
+        J = ca.DM(vehicle.inertia_matrix)
+        x = inputs.state
+        state = inputs.reference
+        thrust = inputs.thrusts
+        path = inputs.path
+        belief = inputs.belief
+        air = inputs.air
+        air_r = inputs.air_reference
+        gravity = ca.DM([0, 0, -vehicle.gravity])
+        G = ca.DM(vehicle.allocation)
         K_x, K_v, K_R, K_w = gains(self)
 
-        R, w = rotation_matrix(x[ATTITUDE]), x[RATE]
-        R_r, w_r = rotation_matrix(state[ATTITUDE]), state[RATE]
+        R = rotation_matrix(x[ATTITUDE])
+        w = x[RATE]
+        R_r = rotation_matrix(state[ATTITUDE])
+        w_r = state[RATE]
         wrench_r = G @ thrust
         w_r_dot = ca.inv(J) @ (wrench_r[1:] + air_r[3:] - ca.cross(w_r, J @ w_r))
-        e_p, e_v = x[POSITION] - path[:, 0], x[VELOCITY] - path[:, 1]
+        e_p = x[POSITION] - path[:, 0]
+        e_v = x[VELOCITY] - path[:, 1]
 
         # Force per mass, and its derivatives along the closed loop.
         known = R @ air[:3] + belief.force / m
@@ -111,21 +122,25 @@ class Geometric(Law):
         heading = _turning(R_r, w_r, w_r_dot, E_X)
         if self.rates == "none":
             still = ca.SX(3, 1)
-            forces, heading = (force, still, still), (heading[0], still, still)
+            forces = (force, still, still)
+            heading = (heading[0], still, still)
         elif self.rates == "reference":
             forces = (force, ca.SX(3, 1), ca.SX(3, 1))
         else:
             first, second = _reference_derivatives(wrench_r[0] / m, R_r, w_r, w_r_dot, path)
-            z, z_dot = R[:, 2], R @ ca.cross(w, E_Z)
+            z = R[:, 2]
+            z_dot = R @ ca.cross(w, E_Z)
             e_a = ca.dot(force, z) * z + known + gravity - path[:, 2]
             after = first - K_x * e_v - K_v * e_a
             e_j = (ca.dot(after, z) + ca.dot(force, z_dot)) * z + ca.dot(force, z) * z_dot - first
             forces = (force, after, second - K_x * e_a - K_v * e_j)
         R_d, w_d, w_d_dot = moving_attitude(forces, heading)
         if self.rates == "reference":
-            w_d, w_d_dot = w_r, w_r_dot
+            w_d = w_r
+            w_d_dot = w_r_dot
         turn = R.T @ R_d
-        e_R, e_w = attitude_error(R, R_d), w - turn @ w_d
+        e_R = attitude_error(R, R_d)
+        e_w = w - turn @ w_d
         spin = -ca.cross(w, turn @ w_d) + turn @ w_d_dot
         torque = J @ (spin - K_R * e_R - K_w * e_w - memory.theta_torque) + ca.cross(w, J @ w)
         torque -= air[3:] + belief.torque
@@ -143,7 +158,8 @@ class Geometric(Law):
 
 def gains(keys: Geometric) -> tuple[ca.DM, ca.DM, ca.DM, ca.DM]:
     """K_x (1/s^2), K_v (1/s), K_R (1/s^2), K_w (1/s), diagonals (3,)."""
-    position, attitude = np.array(keys.position_bandwidth), np.array(keys.attitude_bandwidth)
+    position = np.array(keys.position_bandwidth)
+    attitude = np.array(keys.attitude_bandwidth)
     values = (position**2, 2 * keys.position_damping * position, attitude**2, 2 * keys.attitude_damping * attitude)
     return tuple(map(ca.DM, values))
 
@@ -161,7 +177,8 @@ def _reference_derivatives(
 ) -> tuple[Expression, Expression]:
     """f'/m and f''/m, (3,) each, of the reference's force f = m thrust R e_z (see the module)."""
     z, z_1, z_2 = _turning(R, w, w_dot, E_Z)
-    jerk, snap = path[:, 3], path[:, 4]
+    jerk = path[:, 3]
+    snap = path[:, 4]
     along = ca.dot(z, jerk)
     turned = thrust * z_2 + 2 * along * z_1
     return thrust * z_1 + along * z, turned + z * (ca.dot(z, snap) - ca.dot(z, turned))

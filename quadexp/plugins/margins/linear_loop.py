@@ -43,7 +43,9 @@ class LinearLoop:
         kept = np.flatnonzero(_reached(follows, from_command) & _reached(follows.T, to_command))
         phases = [Phase(A[np.ix_(kept, kept)], B[kept], C[:, kept]) for A, B, C in phases]
         self.phases, first = _lumped(phases, np.column_stack([smooth, direct])[kept])
-        self.period, self._smooth, self._direct = period, smooth[kept[first]], direct[kept[first]]
+        self.period = period
+        self._smooth = smooth[kept[first]]
+        self._direct = direct[kept[first]]
         self._held = self._response()
         self._open = functools.reduce(lambda before, matrix: matrix @ before, (A for A, _, _ in self.phases))
         self._fixed = np.linalg.eigvals(self._open)
@@ -73,14 +75,16 @@ class LinearLoop:
         """Complex gains (k, n, n) from v back to u at frequencies (k,) (rad/s) below pi / period. Of u it is the part
         that has this frequency; others, which parts at several rates make of it, pass the plant as little as those of a
         held command do."""
-        turn, count = np.exp(1j * np.reshape(frequencies, (-1, 1, 1)) * self.period), len(self.phases)
+        turn = np.exp(1j * np.reshape(frequencies, (-1, 1, 1)) * self.period)
+        count = len(self.phases)
         z: Any = np.zeros_like(self.phases[0].B)
         for j, (A, B, _) in enumerate(self.phases):
             z = A @ z + B * turn**j
         z = np.linalg.solve(turn**count * np.eye(len(self._open)) - self._open, z)
         total: Any = 0.0
         for j, (A, B, C) in enumerate(self.phases):
-            total, z = total + C @ z * turn**-j, A @ z + B * turn**j
+            total = total + C @ z * turn**-j
+            z = A @ z + B * turn**j
         return total / count
 
     def _weights(self, delay: float, lag: float) -> tuple[np.ndarray, np.ndarray, float, int]:
@@ -103,7 +107,8 @@ class LinearLoop:
         inverse = np.linalg.inv(np.vander(np.arange(1.0, ORDER + 1), ORDER + 1, increasing=True)[:, 1:])
         responses = []
         for A, B, _ in self.phases:
-            A, b = A * self._smooth, B * self._smooth[:, None]
+            A = A * self._smooth
+            b = B * self._smooth[:, None]
             values = [b]
             for _ in range(ORDER - 1):
                 values.append((A @ values[-1] + b) * self._smooth[:, None])
@@ -117,12 +122,14 @@ def _lumped(phases: list[Phase], kinds: np.ndarray) -> tuple[list[Phase], np.nda
     first (exact lumping: a partition is refined until numbers of a class follow alike, which random sums over classes
     tell). kinds: only numbers of one kind are put together, (m, k)."""
     m, n = phases[0].B.shape
-    rng, count = np.random.default_rng(0), 0
+    rng = np.random.default_rng(0)
+    count = 0
     of_class: Any = rng.normal(size=m)
     of_kind = rng.normal(size=kinds.shape[1])
     of_number: Any = rng.normal(size=(len(phases), m))
     of_command = rng.normal(size=(len(phases), n))
-    classes, first = np.zeros(m, int), np.arange(min(m, 1))
+    classes = np.zeros(m, int)
+    first = np.arange(min(m, 1))
     while len(first) > count:
         count = len(first)
         signature = kinds @ of_kind + of_class[classes]

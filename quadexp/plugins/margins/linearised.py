@@ -35,7 +35,8 @@ STILL = 0.01  # 1/s: as fast as any number of the state's error may change where
 FAR = 5.0  # m, m/s, rad/s: a flight that is further from its reference does not settle there
 DIFFERENCE = 1e-5  # of a number of a size up to 1, for derivatives; of larger ones relative
 SMALLER = np.array([1.0, 1e-2, 1e-4])  # differences that are tried in turn, where f is not finite
-COPIED, FEW = 1e-6, 4  # relative difference of a copied change; columns that are not worth being looked at together
+COPIED = 1e-6  # relative difference of a copied change
+FEW = 4  # columns that are not worth being looked at together
 REPEATS = 1e-7  # by how much an instant may differ when it is repeated
 MOST_NUMBERS = 2000  # inner states of a plant, over all instants that differ
 MOST_PHASES = 100  # instants after which the loop must be the same again
@@ -95,8 +96,14 @@ class _Flown:
         *,
         carried: bool,
     ) -> None:
-        self._controller, self._plant, self._window, self._state, self._k = controller, plant, window, state, 0
-        self._period, self._x, self._carried = controller.control_period, state(0), carried
+        self._controller = controller
+        self._plant = plant
+        self._window = window
+        self._state = state
+        self._k = 0
+        self._period = controller.control_period
+        self._x = state(0)
+        self._carried = carried
         self._estimates = isinstance(plant, World) and plant.estimates
         self._noise = plant.begin(self._x, self._period, 1.0, Silence())
         self._drawn = _drawn(plant, self._period)
@@ -123,27 +130,35 @@ class _Flown:
     def phases(self) -> tuple[list[Phase], int, int]:
         """Of the next instants, until the loop is the same again; and where the memory and the readings begin."""
         running = self._controller.running
-        calls = [o for o in running.control_step.calls if o.kind not in ("finite", "near")]  # which are C's
-        rare = [
-            o.decides or o.kind == "python" and (o.when is running.inputs.accelerometer_valid or o.every > 1)
-            for o in calls
-        ]
-        calls = [o for o, seldom in zip(calls, rare, strict=True) if not seldom]  # nothing is learned meanwhile
+        calls = []
+        for o in running.control_step.calls:
+            of_c = o.kind in ("finite", "near")
+            learns = o.kind == "python" and (o.when is running.inputs.accelerometer_valid or o.every > 1)
+            if not (of_c or o.decides or learns):  # nothing is learned meanwhile
+                calls.append(o)
         calls = _on_the_way(calls, running.control_step)
-        sensors = [part.tick for part in self._drawn if not isinstance(part, Held) and part.tick > TICK]
+        sensors = []
+        for part in self._drawn:
+            if not isinstance(part, Held) and part.tick > TICK:
+                sensors.append(part.tick)
         ratios = [Fraction(self._period / tick).limit_denominator(MOST_PHASES) for tick in sensors]
         read = math.lcm(*(ratio.denominator for ratio in ratios))
         count = math.lcm(read, *(o.every for o in calls))
         if count > MOST_PHASES:
             raise UnknownLoopError(f"its rates are the same again only after {count} instants")
         if read * len(self._plant.inner) > MOST_NUMBERS:
-            numbers, over = len(self._plant.inner), f" at each of {read} instants that differ" if read > 1 else ""
+            numbers = len(self._plant.inner)
+            over = f" at each of {read} instants that differ" if read > 1 else ""
             raise UnknownLoopError(f"the world has {numbers} inner states{over}; at most {MOST_NUMBERS} are linearised")
-        memory, known, phases = _Remembered(running.control_step, calls), dict[Any, Phase](), []
+        memory = _Remembered(running.control_step, calls)
+        known = dict[Any, Phase]()
+        phases = []
         if (numbers := len(memory.values) + len(self._plant.inner)) > MOST_NUMBERS:
             raise UnknownLoopError(f"it has {numbers} inner states; at most {MOST_NUMBERS} are linearised")
         for _ in range(count):
-            k, begun, guess = running.k, memory.values, [part.now.copy() for part in memory.planned]
+            k = running.k
+            begun = memory.values
+            guess = [part.now.copy() for part in memory.planned]
             u = self._step()
             ended = memory.values
             self._enter(u)
@@ -166,7 +181,9 @@ class _Flown:
         """Tell the plant's function all of the next period, without noise."""
         self._function = self._plant.prepared(self._period)
         arguments = self._function.arguments
-        arguments["x"][:], arguments["inner"][:], arguments["u"][:] = self._x, self._plant.inner, u
+        arguments["x"][:] = self._x
+        arguments["inner"][:] = self._plant.inner
+        arguments["u"][:] = u
         noise = self._plant.noise(self._function).reshape(-1)
         self._noise.standard_normal(out=noise)
         noise[~self._timed] = 0.0
@@ -174,7 +191,8 @@ class _Flown:
     def _go_on(self) -> None:
         """A period of the plant."""
         self._function()
-        results, plant = self._function.results, self._plant
+        results = self._function.results
+        plant = self._plant
         plant.settle(results)
         plant.time += self._period
         self._k += 1
@@ -188,12 +206,17 @@ class _Flown:
     ) -> Phase:
         """Of the instant k, before which the memory was `begun` and the MPC's last solution `guess`, and of the period
         that `_enter` prepared."""
-        running, inputs_of_plant, results = self._controller.running, self._function.arguments, self._function.results
-        inputs, window, command = running.inputs, running.inputs.window, running.control_step.command
+        running = self._controller.running
+        inputs_of_plant = self._function.arguments
+        results = self._function.results
+        inputs = running.inputs
+        window = running.inputs.window
+        command = running.control_step.command
         turning = np.array(getattr(self._plant, "rotor_places", []), int)
         sensors = [inputs.specific_force, inputs.rotor_speed] if len(turning) else [inputs.specific_force]
         readings = [reading for reading in sensors if memory.reads(reading)]
-        read, m = [inputs.state, *readings], len(begun)
+        read = [inputs.state, *readings]
+        m = len(begun)
 
         def instant(values: np.ndarray) -> np.ndarray:
             """What is given and remembered -> what is sent and remembered."""
@@ -229,15 +252,20 @@ class _Flown:
         fly(point)
         by_plant = (onto / (onto**2).sum(axis=0)).T @ by_plant
 
-        inner, n = N_TANGENT + len(inputs_of_plant["inner"]), len(command)
+        inner = N_TANGENT + len(inputs_of_plant["inner"])
+        n = len(command)
         places = [np.arange(N_TANGENT) + (inner + 3) * self._estimates]
         for reading in readings:
             places.append(inner + np.arange(3) if reading is inputs.specific_force else N_TANGENT + turning)
-        body, places = len(by_plant), [*places, len(by_plant) + np.arange(m)]
+        body = len(by_plant)
+        places = [*places, len(by_plant) + np.arange(m)]
         by_all = np.zeros((n + m, body + m))
         by_all[:, np.concatenate(places)] = by_told
-        A, B = np.zeros((body + m, body + m)), np.zeros((body + m, n))
-        A[:body, :inner], A[body:], B[:body] = by_plant[:, :inner], by_all[n:], by_plant[:, inner:]
+        A = np.zeros((body + m, body + m))
+        B = np.zeros((body + m, n))
+        A[:body, :inner] = by_plant[:, :inner]
+        A[body:] = by_all[n:]
+        B[:body] = by_plant[:, inner:]
         return Phase(A, B, by_all[:n])
 
 
@@ -247,21 +275,23 @@ def _touched(o: Call, targets: list[np.ndarray]) -> tuple[list[np.ndarray], list
         return [*o.function.arguments.values()], [*o.function.results.values()]
     if o.kind in ("plan", "python"):
         return (targets if o.kind == "python" else []), []
-    if o.kind == "commit":  # of a memory that is worked on in place what is read is its source
-        return [array for array in (o.source,) if array is not None], [
-            array for array in (o.to, o.source) if array is not None
-        ]
-    sources, to = ([], [o.to, o.other]) if o.kind == "window" else ([o.source, o.other], [o.to])
+    sources = [o.source, o.other]
+    to = [o.to]
+    if o.kind == "window":
+        sources = []
+        to = [o.to, o.other]
+    elif o.kind == "commit":  # of a memory that is worked on in place what is read is its source
+        sources = [o.source]
+        to = [o.to, o.source]
     return [array for array in sources if array is not None], [array for array in to if array is not None]
-
-
-def _targets(calls: list[Call]) -> list[np.ndarray]:
-    return [o.to for o in calls if o.to is not None]
 
 
 def _on_the_way(calls: list[Call], instant: ControlStep) -> list[Call]:
     """The calls from which a number gets to the command, at this instant or later; not what only watches."""
-    targets, needed, kept, more = _targets(calls), _places([instant.command]), set[int](), True
+    targets = [o.to for o in calls if o.to is not None]
+    needed = _places([instant.command])
+    kept = set[int]()
+    more = True
     while more:
         more = False
         for i, o in enumerate(calls):
@@ -280,7 +310,8 @@ class _Remembered:
 
     def __init__(self, instant: ControlStep, calls: list[Call]) -> None:
         used = _places(array for o in calls for array in _touched(o, [])[0])
-        self._read, plan = used, instant.plan
+        self._read = used
+        plan = instant.plan
         self.planned = [] if plan is None else [plan.mpc.memory]
         self._kept = [
             part
@@ -336,7 +367,8 @@ def _derivative(f: Callable[[np.ndarray], np.ndarray], point: np.ndarray, column
     """Derivatives of f at a point (m,) along columns (m, d), by central differences; many at once of numbers that are
     copied to others and do nothing else, as in a history."""
     sizes = DIFFERENCE * np.maximum(1.0, np.abs(columns.T @ point))
-    base, kicks = f(point), sizes * np.linspace(1.0, 2.0, len(sizes))  # each tells by its size where it went
+    base = f(point)
+    kicks = sizes * np.linspace(1.0, 2.0, len(sizes))  # each tells by its size where it went
     moved = f(point + columns @ kicks) - base
     derivatives = (np.abs(moved[:, None] - kicks) < COPIED * kicks).astype(float)
     pending = [np.flatnonzero(derivatives.any(axis=0))]
@@ -371,4 +403,6 @@ def _drawn(plant: SimulatedPlant, period: float) -> list[Drawn]:
 def _times(drawn: Drawn) -> np.ndarray:
     """Which numbers of a control period are times, (k,)."""
     ticks = isinstance(drawn, Ticking)
-    return np.arange(drawn.size) % (1 + drawn.numbers) == 0 if ticks else np.zeros(drawn.size, bool)
+    if ticks:
+        return np.arange(drawn.size) % (1 + drawn.numbers) == 0
+    return np.zeros(drawn.size, bool)

@@ -32,10 +32,13 @@ from quadexp.plugins.margins.linearised import SETTLING, UnknownLoopError, linea
 LIMIT = 0.5  # s: largest margin that is searched for
 SLOW = 0.05  # 1/s: what grows no faster is a drift, not an unstable loop
 FASTER = 1e-3  # 1/s: growth beyond a drift that is there without, from which on a delay or lag is too long
-LOWEST, FREQUENCIES = 0.5, 50  # of the search (rad/s), and how many up to half the control rate
-NEAR, RESOLUTION = 1.05, 1e-3  # how near the search comes, and relative accuracy of a margin
+LOWEST = 0.5  # of the search (rad/s)
+FREQUENCIES = 50  # of the search, up to half the control rate
+NEAR = 1.05  # how near the search comes
+RESOLUTION = 1e-3  # relative accuracy of a margin
 POINTS = 9  # along a path
-RATES, SHARES = (100.0, 200.0), (1.0, 0.5)  # control rates that are tried (Hz), and shares of the horizon
+RATES = (100.0, 200.0)  # control rates that are tried (Hz)
+SHARES = (1.0, 0.5)  # of the horizon, that are tried
 DIGITS = 3  # decimals of what is proposed
 TOLD = {"dead_time": "timing.dead_time", "motor_lag": "timing.motor_lag", "motor_lead": "timing.motor_lag"}
 
@@ -68,7 +71,8 @@ def _settled(controller: Any, plant: Any) -> Any:
 def hover_loop(controller: Any, plant: Any) -> LinearLoop:
     """The loop at hover. Raises UnknownLoopError."""
     controller.forget()
-    rest, nodes = np.eye(N_STATE)[ATTITUDE.start], len(controller.node_times)
+    rest = np.eye(N_STATE)[ATTITUDE.start]
+    nodes = len(controller.node_times)
     thrusts = np.full((max(nodes - 1, 0), controller.vehicle.n_rotors), controller.vehicle.hover_thrust)
     window = Window(np.tile(rest, (nodes, 1)), thrusts, np.zeros((5, 3)), np.zeros(3))
     return linear_loop(controller, plant, lambda k: window, lambda k: rest)
@@ -83,7 +87,8 @@ def path_margins(config: Config, model: ModelFile | None) -> list[dict[str, Any]
     plant = build_world(config, vehicle)
     controller = build_controller(config, vehicle, plant, model)
     reference = SampledReference(build_trajectory(config.trajectory, vehicle), controller)
-    last, before = len(reference) - 1, math.ceil(SETTLING[0] / controller.control_period)
+    last = len(reference) - 1
+    before = math.ceil(SETTLING[0] / controller.control_period)
     rows = []
     for at in np.unique(np.linspace(min(before, last), last, POINTS).astype(int)):
 
@@ -122,7 +127,8 @@ def margins(loop: LinearLoop) -> dict[str, Any]:
 def _crossings(score: Any, frequencies: np.ndarray, eigenvalues: np.ndarray) -> list[tuple[complex, float]]:
     """Eigenvalues of the gain, (k, n), and frequencies (rad/s), about where their score is 1."""
     eigenvalues = np.take_along_axis(eigenvalues, np.argsort(score(eigenvalues), axis=1), 1)
-    beyond, crossings = score(eigenvalues) - 1, list[tuple[complex, float]]()
+    beyond = score(eigenvalues) - 1
+    crossings = list[tuple[complex, float]]()
     for k, i in np.argwhere(beyond[1:] * beyond[:-1] < 0):
         share = beyond[k, i] / (beyond[k, i] - beyond[k + 1, i])
         between = eigenvalues[k, i] + share * (eigenvalues[k + 1, i] - eigenvalues[k, i])
@@ -132,11 +138,13 @@ def _crossings(score: Any, frequencies: np.ndarray, eigenvalues: np.ndarray) -> 
 
 def _first(unstable: Callable[[float], bool], about: Iterable[float]) -> float:
     """Where stability first ends (s), at most LIMIT. about: where it may (s)."""
-    low, high = 0.0, LIMIT
+    low = 0.0
+    high = LIMIT
     for time in sorted(time for time in about if 0 < time < LIMIT / NEAR):
         if unstable(high := min(time * NEAR, LIMIT)):
             break
-        low, high = high, LIMIT
+        low = high
+        high = LIMIT
     else:
         if low == LIMIT or not unstable(LIMIT):
             return LIMIT
@@ -161,7 +169,10 @@ def instability(
     late = getattr(plant, "loop_delay", 0.0)
     knows = "motor_lead" if getattr(controller, "motor_lead", 0.0) else "motor_lag"
     true = {knows: round(lag, DIGITS), "dead_time": round(late, DIGITS)}
-    unknown = {name: value for name, value in true.items() if getattr(controller, name, value) != value}
+    unknown = {}
+    for name, value in true.items():
+        if getattr(controller, name, value) != value:
+            unknown[name] = value
 
     def stable(changes: Mapping[str, float]) -> bool:
         try:

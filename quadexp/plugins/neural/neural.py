@@ -59,7 +59,8 @@ from quadexp.physics.vehicle import Vehicle
 if TYPE_CHECKING:
     import torch
 
-LAYER, BACKWARD = (Path(__file__).with_name(name) for name in ("neural_layer.c", "neural_backward.c"))
+LAYER = Path(__file__).with_name("neural_layer.c")
+BACKWARD = Path(__file__).with_name("neural_backward.c")
 
 Layer = Callable[[Expression, Expression, Expression], tuple[Expression, Expression]]  # W, b, x -> s, s'
 Backward = Callable[[Expression, Expression, Expression], Expression]  # G, s', W -> G diag(s') W
@@ -168,8 +169,7 @@ class NeuralModel(Model, frozen=True, tag="neural"):
         self.require(part, source)
         return neural_residual(vehicle, self.network, source)
 
-    def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float | None) -> Adapting:
-        assert deviation is not None
+    def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float) -> Adapting:
         return adapting_network(residual, self.network, deviation)
 
     @property
@@ -204,9 +204,12 @@ def fit_network(rows: ResidualDataset, settings: NNConfig, callback: Callback = 
 
     Raises DataError where there are no rows, or a feature never changes."""
     require_variation(rows, settings.features, (), "model.features")
-    drag, rows = baseline(rows, intervals=False), with_common_scale(rows).dataset
-    x, y = rows.matrix(settings.features), rows.matrix(settings.outputs)
-    centre, spread = x.mean(axis=0), x.std(axis=0)
+    drag = baseline(rows, intervals=False)
+    rows = with_common_scale(rows).dataset
+    x = rows.matrix(settings.features)
+    y = rows.matrix(settings.outputs)
+    centre = x.mean(axis=0)
+    spread = x.std(axis=0)
     unit = np.sqrt(np.mean(y**2, axis=0))
     unit[unit == 0] = 1.0
     with one_thread():
@@ -214,7 +217,8 @@ def fit_network(rows: ResidualDataset, settings: NNConfig, callback: Callback = 
     lipschitz = math.prod(float(np.linalg.norm(w, 2)) for w in weights)
     weights[0] = weights[0] / spread
     biases[0] = biases[0] - weights[0] @ centre
-    weights[-1], biases[-1] = unit[:, None] * weights[-1], unit * biases[-1]
+    weights[-1] = unit[:, None] * weights[-1]
+    biases[-1] = unit * biases[-1]
     network = Network(settings.features, settings.outputs, tuple(weights), tuple(biases))
     error = np.sqrt(np.mean((y - network(x)) ** 2, axis=0))
     about = origin(rows, settings.features, settings, ("numpy", "scipy", "torch"))
@@ -226,11 +230,11 @@ def neural_residual(vehicle: Vehicle, network: Network, source: str = "") -> Res
 
     Raises UsageError for an unknown feature.
     """
-    function, to_compile = (
-        _network_function(feature_names(vehicle.n_rotors), network, *form)
-        for form in ((_layer, _backward), (_compiled_layer, _compiled_backward))
-    )
-    theta = [part for w, b in zip(network.weights, network.biases, strict=True) for part in (w.T.ravel(), b)]
+    function = _network_function(feature_names(vehicle.n_rotors), network, _layer, _backward)
+    to_compile = _network_function(feature_names(vehicle.n_rotors), network, _compiled_layer, _compiled_backward)
+    theta = []
+    for w, b in zip(network.weights, network.biases, strict=True):
+        theta += [w.T.ravel(), b]
     return Residual("neural", function, np.concatenate(theta), source, to_compile)
 
 
@@ -250,18 +254,22 @@ def adapting_network(residual: Residual, network: Network, deviation: float) -> 
 def _network_function(names: tuple[str, ...], network: Network, layer: Layer, backward: Backward) -> ca.Function:
     """(z, theta) -> y, dy/dz for a network of these sizes."""
     sizes = network.sizes
-    lengths = [length for columns, rows in pairwise(sizes) for length in (rows * columns, rows)]
+    lengths = []
+    for columns, rows in pairwise(sizes):
+        lengths += [rows * columns, rows]
     z, theta = symbols(ca.MX, z=len(names), theta=sum(lengths))
     parts = split(theta, lengths)
     weights = [ca.reshape(w, rows, columns) for w, (columns, rows) in zip(parts[::2], pairwise(sizes), strict=True)]
     places = feature_places(names, network.features, "network")
     select = _zeros_and_ones(places, len(names))
     place = _zeros_and_ones([[OUTPUTS.index(output)] for output in network.outputs], len(OUTPUTS)).T
-    x, slopes = select @ z, []
+    x = select @ z
+    slopes = []
     for w, b in zip(weights[:-1], parts[1:-1:2], strict=True):
         x, slope = layer(w, b, x)
         slopes.append(slope)
-    y, gradient = weights[-1] @ x + parts[-1], weights[-1]
+    y = weights[-1] @ x + parts[-1]
+    gradient = weights[-1]
     for w, slope in zip(reversed(weights[:-1]), reversed(slopes), strict=True):
         gradient = backward(gradient, slope, w)
     return residual_function("neural", z, theta, [place @ y, place @ (gradient @ select)])
@@ -284,7 +292,8 @@ def _compiled_layer(w: Expression, b: Expression, x: Expression) -> tuple[Expres
     """As _layer, by neural_layer.c."""
     (rows, columns), dense = w.shape, ca.Sparsity.dense
     arguments = {"weight": dense(rows, columns), "bias": dense(rows), "x": dense(columns)}
-    sizes, results = {"ROWS": rows, "COLUMNS": columns}, {"value": dense(rows), "slope": dense(rows)}
+    sizes = {"ROWS": rows, "COLUMNS": columns}
+    results = {"value": dense(rows), "slope": dense(rows)}
     value, slope = handwritten(f"neural_layer_{rows}_{columns}", LAYER, sizes, arguments, results)(w, b, x)
     return value, slope
 
@@ -294,7 +303,8 @@ def _compiled_backward(gradient: Expression, slope: Expression, w: Expression) -
     (rows, columns), outputs, dense = w.shape, gradient.size1(), ca.Sparsity.dense
     sizes = {"OUTPUTS": outputs, "ROWS": rows, "COLUMNS": columns}
     arguments = {"gradient": dense(outputs, rows), "slope": dense(rows), "weight": dense(rows, columns)}
-    name, results = "_".join(map(str, ["neural_backward", *sizes.values()])), {"product": dense(outputs, columns)}
+    name = "_".join(map(str, ["neural_backward", *sizes.values()]))
+    results = {"product": dense(outputs, columns)}
     return handwritten(name, BACKWARD, sizes, arguments, results)(gradient, slope, w)
 
 
@@ -306,10 +316,13 @@ def _train(
     from scipy.optimize import minimize
 
     rng = np.random.default_rng(settings.seed)
-    shapes = [(rows, columns) for columns, rows in pairwise([x.shape[1], *settings.hidden, y.shape[1]])]
+    shapes = []
+    for columns, rows in pairwise([x.shape[1], *settings.hidden, y.shape[1]]):
+        shapes.append((rows, columns))
     start = [rng.normal(size=shape) / math.sqrt(shape[1]) for shape in shapes]
     start += [rng.normal(size=rows) for rows, _ in shapes[:-1]] + [np.zeros(y.shape[1])]
-    inputs, target = (torch.as_tensor(values, dtype=torch.float64) for values in (x, y))
+    inputs = torch.as_tensor(x, dtype=torch.float64)
+    target = torch.as_tensor(y, dtype=torch.float64)
     largest = None if settings.spectral is None else settings.spectral ** (1 / len(shapes))
     ends = np.cumsum([part.size for part in start])
 
@@ -323,24 +336,29 @@ def _train(
     def loss(values: np.ndarray) -> tuple[float, np.ndarray]:
         flat = torch.tensor(values, dtype=torch.float64, requires_grad=True)
         weights, biases = parts(flat)
-        error = (_forward(inputs, weights, biases) - target).square().mean()
+        x = inputs
+        for w, b in zip(weights[:-1], biases[:-1], strict=True):
+            t = x @ w.T + b
+            x = t * (1 + t * t).rsqrt()
+        error = (x @ weights[-1].T + biases[-1] - target).square().mean()
         value = error + settings.penalty * torch.stack([w.square().mean() for w in weights]).sum()
         value.backward()
         return value.item(), flat.grad.numpy()
 
     done = count(1)
     result = minimize(
-        loss, np.concatenate([part.ravel() for part in start]), jac=True, method="L-BFGS-B",
+        loss,
+        np.concatenate([part.ravel() for part in start]),
+        jac=True,
+        method="L-BFGS-B",
         callback=lambda _: callback("fit network", next(done) / settings.max_iterations),
-        options={"maxiter": settings.max_iterations, "maxfun": 2 * settings.max_iterations, "maxcor": 30,
-                 "ftol": 1e-12, "gtol": 1e-8},
-    )  # fmt: skip
+        options={
+            "maxiter": settings.max_iterations,
+            "maxfun": 2 * settings.max_iterations,
+            "maxcor": 30,
+            "ftol": 1e-12,
+            "gtol": 1e-8,
+        },
+    )
     weights, biases = ([part.numpy().copy() for part in layers] for layers in parts(torch.tensor(result.x)))
     return weights, biases
-
-
-def _forward(x: torch.Tensor, weights: list[torch.Tensor], biases: list[torch.Tensor]) -> torch.Tensor:
-    for w, b in zip(weights[:-1], biases[:-1], strict=True):
-        t = x @ w.T + b
-        x = t * (1 + t * t).rsqrt()
-    return x @ weights[-1].T + biases[-1]

@@ -2,7 +2,7 @@
 
 BRINGS = {
     "commands": {
-        "table": "quadexp.plugins.page.table_command:table",
+        "table": "quadexp.plugins.page.commands:table",
         "plot": "quadexp.plugins.page.commands:plot",
         "report": "quadexp.plugins.page.commands:report",
         "compare": "quadexp.plugins.page.commands:compare",

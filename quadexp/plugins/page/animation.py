@@ -6,12 +6,8 @@ every vehicle drawn to scale from above.
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -33,15 +29,13 @@ from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.text import speed_text
 from quadexp.writer import check_output, written
 
-FORMATS = (".gif", ".mp4")
 DPI = 100  # of matplotlib's usual figure
 SIZE = (7.2, 3.9)  # inches
 TRAIL = 1.5  # s of path behind a vehicle
 COLOURS = 64  # of a GIF
 HOLD = 1.2  # s that the last frame stays
 MOST_FRAMES = 3000  # 2 min at 25 a second
-SAME = 1e-6  # m; references that differ by more are not the same
-ALIKE = 1e-3  # m; the same of flights at different rates, whose references are compared between samples
+SAME = 1e-3  # m; references that differ by more are not the same: those of other control rates are interpolated
 
 
 def animate(
@@ -55,14 +49,11 @@ def animate(
 ) -> dict[str, Any]:
     """Write the flights as an animation; returns path, frames and duration (s).
 
-    out: GIF or MP4 by its suffix. rate: frames a second. begin, end: s of the flights that are shown; None: to
+    out: a GIF. rate: frames a second. begin, end: s of the flights that are shown; None: to
     the end. Raises UsageError where the flights do not follow one reference, or nothing is left to show.
     """
-    suffix = out.suffix.lower()
-    if suffix not in FORMATS:
-        raise UsageError(f"--out {out}: must end in {', '.join(FORMATS)}")
-    if suffix == ".mp4" and shutil.which("ffmpeg") is None:
-        raise UsageError(f"--out {out}: needs ffmpeg on the PATH; without it, give .gif")
+    if out.suffix.lower() != ".gif":
+        raise UsageError(f"--out {out}: must end in .gif")
     if not 1 <= rate <= 50:
         raise UsageError(f"--rate {rate:g}: must be in [1, 50] frames per second")
     flights = [read_flight(path, whole=True) for path in paths]
@@ -77,11 +68,7 @@ def animate(
     check_output(out, force=force)
     picture = _Picture(_labels(paths, flights), flights, begin, end)
     with written(out, force=force) as file, Progress("frames") as progress:
-        frames = _counted(picture, times, progress)
-        if suffix == ".mp4":
-            _write_mp4(frames, rate, file)
-        else:
-            _write_gif(frames, picture.frame(times[len(times) // 2]), times, file)
+        _write_gif(_counted(picture, times, progress), picture.frame(times[len(times) // 2]), times, file)
     return {"path": out, "frames": len(times), "duration": len(times) / rate}
 
 
@@ -100,25 +87,6 @@ def _write_gif(frames: Iterator[Image.Image], typical: Image.Image, times: np.nd
     next(indexed).save(file, "GIF", **options)
 
 
-def _write_mp4(frames: Iterator[Image.Image], rate: float, file: BinaryIO) -> None:
-    first = next(frames)
-    size = f"{first.width}x{first.height}"
-    with tempfile.TemporaryDirectory() as folder:
-        video = Path(folder) / "video.mp4"
-        source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", f"{rate:g}", "-i", "-"]
-        target = ["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", str(video)]
-        command = ["ffmpeg", "-loglevel", "error", *source, *target]
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as ffmpeg:
-            assert ffmpeg.stdin is not None
-            for frame in chain([first], frames):
-                ffmpeg.stdin.write(frame.tobytes())
-            ffmpeg.stdin.write(round(HOLD * rate) * frame.tobytes())
-            _, said = ffmpeg.communicate()
-        if ffmpeg.returncode:
-            raise UsageError(f"ffmpeg: {said.decode(errors='replace').strip()}")
-        file.write(video.read_bytes())
-
-
 def _check_same_reference(paths: Sequence[Path], flights: Sequence[Flight]) -> None:
     """UsageError where a flight has another reference; those of other control rates are compared between samples."""
     for path, flight in zip(paths, flights, strict=True):
@@ -126,16 +94,17 @@ def _check_same_reference(paths: Sequence[Path], flights: Sequence[Flight]) -> N
             raise UsageError(f"{path}: has no samples with a reference to show")
         coarse, fine = sorted((flight, flights[0]), key=lambda f: len(f) / max(float(f["t"][-1]), 1e-9))
         t = coarse["t"][coarse["t"] <= fine["t"][-1] + 1e-9]
-        alike = SAME if np.isin(t.round(9), fine["t"].round(9)).all() else ALIKE
         for name in ("ref_p_x", "ref_p_y", "ref_p_z"):
             between = CubicSpline(fine["t"], fine[name])(t) if len(fine) > 1 else fine[name]
-            if np.abs(between - coarse[name][: len(t)]).max() > alike:
+            if np.abs(between - coarse[name][: len(t)]).max() > SAME:
                 raise UsageError(f"{path}: follows another reference than {paths[0]}; give flights of one trajectory")
 
 
 def _labels(paths: Sequence[Path], flights: Sequence[Flight]) -> list[str]:
     """The controllers, with the file's name where two flights have the same one."""
-    names = [str(flight.metadata.get("controller") or path.stem) for path, flight in zip(paths, flights, strict=True)]
+    names = []
+    for path, flight in zip(paths, flights, strict=True):
+        names.append(str(flight.metadata.get("controller") or path.stem))
     return [f"{name} {path.stem}" if names.count(name) > 1 else name for name, path in zip(names, paths, strict=True)]
 
 
@@ -161,8 +130,10 @@ class _Flown:
 
     def show(self, t: float) -> None:
         """Move everything to a time (s)."""
-        flight, k = self.flight, self.sample(t)
-        now, ended = slice(0, k + 1), t > flight["t"][-1] + 0.1
+        flight = self.flight
+        k = self.sample(t)
+        now = slice(0, k + 1)
+        ended = t > flight["t"][-1] + 0.1
         behind = slice(int(np.searchsorted(flight["t"], t - TRAIL)), k + 1)
         self.trail.set_data(flight["p_x"][behind], flight["p_y"][behind])
         self.vehicle.set_data(flight["p_x"][k : k + 1], flight["p_y"][k : k + 1])
@@ -189,21 +160,27 @@ class _Picture:
         look = looks(labels)
         self._flown = []
         for label, flight in zip(labels, flights, strict=True):
-            colour, error = look[label].colour, position_error(flight)
+            colour = look[label].colour
+            error = position_error(flight)
             of_all = f"mean {1e3 * error.mean():.3g} mm" if flight.outcome in COMPLETED else flight.outcome
             (trail,) = path.plot([], [], color=colour, linewidth=2)
             (vehicle,) = path.plot([], [], marker="o", markersize=5, color=colour, linestyle="none")
             (line,) = course.plot([], [], color=colour, label=f"{label}: {of_all}")
             body = near.add_collection(LineCollection([], colors=colour, linewidths=2.2))
             self._flown.append(_Flown(flight, error, flight.rotor_position, trail, vehicle, body, line))
-        shown = [flown.error[flown.sample(begin) : flown.sample(end) + 1].max() for flown in self._flown]
+        shown = []
+        for flown in self._flown:
+            shown.append(flown.error[flown.sample(begin) : flown.sample(end) + 1].max())
         size = max(float(norms(flown.rotors).max()) for flown in self._flown)
         reach = 1.05 * float(max(shown)) + 1.6 * size
         near.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x - reference (m)", ylabel="y - reference (m)")
         near.set_aspect("equal")
         near.plot(0, 0, marker="+", markersize=12, color="#777777")
         self._clock = near.set_title("to scale", fontsize=9)
-        smallest = [np.percentile(error, 5) for f in self._flown if len(error := f.error[f.error > 0])]
+        smallest = []
+        for f in self._flown:
+            if len(error := f.error[f.error > 0]):
+                smallest.append(np.percentile(error, 5))
         low = max(min(smallest, default=0.0), 1e-6)
         high = 1.3 * max(2 * low, *(flown.error.max() for flown in self._flown))
         course.set(xlim=(0, longest["t"][-1]), yscale="log", ylim=(1e3 * low, 1e3 * high))
@@ -217,7 +194,8 @@ class _Picture:
             artist.set_animated(True)
         canvas: Any = FigureCanvasAgg(figure)
         canvas.draw()
-        self._canvas, self._ground = canvas, canvas.copy_from_bbox(figure.bbox)
+        self._canvas = canvas
+        self._ground = canvas.copy_from_bbox(figure.bbox)
 
     def frame(self, t: float) -> Image.Image:
         """The picture at a time (s)."""

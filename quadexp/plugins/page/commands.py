@@ -1,18 +1,25 @@
-"""Commands that draw: `quadexp plot`, `report`, `animate`. Only light modules are imported at the top."""
+"""Commands that draw, and that write tables and pages. Only light modules are imported at the top."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from quadexp.cli.command import Answer, Ask, Conf, Force, Out, command, file_rows, single_values
+from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Out, command, file_rows, single_values
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
 from quadexp.names import without
+from quadexp.writer import check_output, write_text
+
+if TYPE_CHECKING:
+    from quadexp.report.frame import SweepFrame
 
 HEADING = "Look"
 WIDTHS = {"column": 3.5, "page": 7.16}  # inches, of the IEEE
+TABLES = {".tex": "latex", ".md": "markdown", ".csv": "csv"}  # of a table
+
+Keys = tuple[str, ...]
 
 
 @command
@@ -20,15 +27,13 @@ def plot(
     results: Annotated[Path, Ask("A folder of `quadexp evaluate`.", "DIR")],
     x: Annotated[str | None, Ask("The key along x.", "KEY")] = None,
     y: Annotated[str, Ask("A number of the flights, such as rmse; or success.", "COLUMN")] = "mean_error",
-    by: Annotated[tuple[str, ...], Ask("A line for each value; repeatable.", "KEY")] = (),
-    facet: Annotated[tuple[str, ...], Ask("A panel for each value; repeatable.", "KEY")] = (),
+    by: Annotated[Keys, Ask("A line for each value; repeatable.", "KEY")] = (),
+    facet: Annotated[Keys, Ask("A panel for each value; repeatable.", "KEY")] = (),
     where: Annotated[str | None, Ask("Only these flights, such as 'speed > 6'.", "CONDITION")] = None,
     kind: Annotated[Literal["lines", "heat"] | None, Ask("lines, or heat (a map of --x and --by).", "KIND")] = None,
     width: Annotated[Literal["column", "page"] | None, Ask("For a paper: 3.5 or 7.16 inches wide.")] = None,
-    label: Annotated[
-        tuple[str, ...], Ask("A text of your own for a key, a value or --y; repeatable.", "KEY=TEXT")
-    ] = (),
-    color: Annotated[tuple[str, ...], Ask("A colour of your own for a value; repeatable.", "NAME=COLOR")] = (),
+    label: Annotated[Keys, Ask("A text of your own for a key, a value or --y; repeatable.", "KEY=TEXT")] = (),
+    color: Annotated[Keys, Ask("A colour of your own for a value; repeatable.", "NAME=COLOR")] = (),
     height: Annotated[float | None, Ask("Height of the figure (inches).", "IN")] = None,
     title: Annotated[str, Ask("The title of the figure.", "TEXT")] = "",
     out: Out = Path("plot.png"),
@@ -51,18 +56,11 @@ def plot(
     from quadexp.plugins.page.draw import SUFFIXES, records, save_view
     from quadexp.plugins.page.view import view
     from quadexp.report.checked import check_flights
-    from quadexp.report.frame import SweepFrame, chosen
     from quadexp.report.style import check_path
 
-    names = dict(text.partition("=")[::2] for text in label)
-    if not all(names.values()):
-        raise UsageError(f"--label {next(name for name in names if not names[name])}: give KEY=TEXT")
+    names = _labels(label)
     path = check_path(out, force, SUFFIXES)
-    frame = whole = SweepFrame.read(results)
-    if where:
-        frame = whole.where(chosen(whole, where))
-        if not frame.rows:
-            raise UsageError(f"--where {where!r}: no flight fulfils it")
+    frame, whole = _flights(results, where)
     figure = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), kind=kind).named(names)
     if height is not None and not 1 <= height <= 20:
         raise UsageError(f"--height {height:g}: must be in [1, 20] inches")
@@ -77,6 +75,28 @@ def plot(
     record = {"path": path, **about, "notes": notes, "points": numbers}
     said = [*((figure.caption,) if width else ()), *figure.notes]
     return Answer(record, numbers, [path], said, remarks=[f"warning: {line}" for line in checked.lines()])
+
+
+def _labels(words: Sequence[str]) -> dict[str, str]:
+    """KEY=TEXT texts as key -> text."""
+    names = dict(word.partition("=")[::2] for word in words)
+    for name, text in names.items():
+        if not text:
+            raise UsageError(f"--label {name}: give KEY=TEXT")
+    return names
+
+
+def _flights(results: Path, where: str | None) -> tuple[SweepFrame, SweepFrame]:
+    """The flights of a folder that fulfil a condition, and all of them."""
+    from quadexp.report.frame import SweepFrame, chosen
+
+    whole = SweepFrame.read(results)
+    if not where:
+        return whole, whole
+    frame = whole.where(chosen(whole, where))
+    if not frame.rows:
+        raise UsageError(f"--where {where!r}: no flight fulfils it")
+    return frame, whole
 
 
 def _colours(words: Sequence[str]) -> dict[str, str]:
@@ -95,6 +115,61 @@ def _colours(words: Sequence[str]) -> dict[str, str]:
 def _keys(words: Sequence[str]) -> list[str] | None:
     """Keys of an option that is repeatable, also with commas between; None where there are none."""
     return [key.strip() for text in words for key in text.split(",") if key.strip()] or None
+
+
+@command
+def table(
+    results: Annotated[Path, Ask("A folder of `quadexp evaluate`.", "DIR")],
+    rows: Annotated[Keys, Ask("Keys down, commas between; repeatable.", "KEYS")] = (),
+    columns: Annotated[Keys, Ask("Keys across, commas between; repeatable.", "KEYS")] = (),
+    metric: Annotated[str | None, Ask("A number of the flights, such as rmse; or success.", "NAME")] = None,
+    label: Annotated[Keys, Ask("A text of your own for a key, a value or the metric; repeatable.", "KEY=TEXT")] = (),
+    where: Annotated[str | None, Ask("Only these flights, such as 'speed > 6'.", "CONDITION")] = None,
+    intervals: Annotated[Literal["none", "pm", "brackets"], Ask("How an interval is written.")] = "none",
+    digits: Annotated[int | None, Ask("Significant digits of a mean.", "N", least=1)] = None,
+    width: Annotated[Literal["column", "page"], Ask("What LaTeX fits: 252 or 516 pt of the IEEE.")] = "column",
+    out: OptionalOut = None,
+    force: Force = False,
+    form: str = "text",
+) -> Answer:
+    """Print or write a table for a paper: any keys down and across, one metric.
+
+    Without keys, conditions are down and controllers across. A cell is the mean over the common flights, as in every
+    table and figure; k/n: only k of n flights were completed. LaTeX of a table that is too wide or too long is several
+    tabulars below each other. The suffix of --out (tex, md, csv) chooses the format where --format does not.
+
+    \b
+    quadexp table results/x --format latex
+    quadexp table results/x --rows trajectory,speed --columns controller --intervals pm --digits 3 --out table.tex
+    quadexp table results/x --metric rmse --label gp_mpc="GP (ours)" --width page --out table.md
+    """
+    from quadexp.messages import suggestion
+    from quadexp.plugins.page.paper_table import paper_table
+    from quadexp.plugins.page.view import SUCCESS
+    from quadexp.report.fitted import WIDTHS as POINTS
+    from quadexp.report.fitted import fitted_latex
+    from quadexp.report.frame import is_metric
+
+    names = _labels(label)
+    if out is not None:
+        out = check_output(out, force=force)
+        form = TABLES.get(out.suffix, "") if form == "text" else form
+        if form not in TABLES.values():
+            raise UsageError(f"--out {out}: end it in .tex, .md or .csv, or give --format latex, markdown or csv")
+    frame, _ = _flights(results, where)
+    metric = metric or str(frame.record.get("metric", "mean_error"))
+    if metric != SUCCESS and not (is_metric(metric) and metric in frame.names):
+        known = [*filter(is_metric, frame.names), SUCCESS]
+        raise UsageError(f"--metric {metric}: no number of a flight{suggestion(metric, known)}")
+    rendered = paper_table(
+        frame, metric, rows=_keys(rows), columns=_keys(columns), names=names, intervals=intervals, digits=digits
+    )
+    latex = fitted_latex(rendered, POINTS[width])
+    record = {"columns": rendered.columns, "rows": rendered.rows, "title": rendered.title, "notes": rendered.notes}
+    if out is None:
+        return Answer(record, [rendered], [rendered], texts={"latex": lambda: latex})
+    write_text(out, latex if form == "latex" else rendered.rendered(form), force=force)
+    return Answer(record | {"path": out}, [rendered], [out], notes=rendered.notes)
 
 
 @command
@@ -129,7 +204,7 @@ def animate(
     end: Annotated[float | None, Ask("Time of the last frame.", "S", "--to")] = None,
     force: Force = False,
 ) -> Answer:
-    """Draw flights over one reference as a moving picture in real time: GIF, or MP4 by ffmpeg.
+    """Draw flights over one reference as a moving picture in real time, a GIF.
 
     \b
     quadexp animate runs/nominal.parquet runs/gp.parquet --out replay.gif
@@ -172,11 +247,14 @@ def compare(
         from quadexp.report.style import save_figure
 
         save_figure(comparison_figure(report["kind"], [first, *others]), out, force=force)
-    checked = {str(p): check_flights(*read_results(p)[:2]) for p in (first, *others) if report["kind"] == "results"}
+    checked = {}
+    for p in (first, *others):
+        if report["kind"] == "results":
+            checked[str(p)] = check_flights(*read_results(p)[:2])
     wrong = [f"{folder}: {line}" for folder, files in checked.items() for line in files.lines(beside=False)]
     for line in wrong:
         say(f"warning: {line}")
     record = without(report, ("lines", "tables"))
     record |= {"picture": out} if out else {}
-    record |= {"checked": [f"{folder}: {files.text()}" for folder, files in checked.items()] + wrong}
+    record["checked"] = [f"{folder}: {files.text()}" for folder, files in checked.items()] + wrong
     return Answer(record, report["tables"], [*report["lines"], *([out] if out else [])])

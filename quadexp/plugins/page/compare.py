@@ -33,6 +33,7 @@ from quadexp.report.inference import holm
 from quadexp.report.metrics import METRICS, metric_of
 from quadexp.report.pairing import (
     Row,
+    Rows,
     causes_text,
     common,
     condition_of,
@@ -52,13 +53,23 @@ MOST_LETTERS = 36  # of a value
 MOST_CONFIGURATIONS = 40  # cells whose configurations are read on either side
 MEASURED = ("solve_time",)  # columns that two runs of one flight may differ in
 FIGURES = (
-    "mean_error", "rmse", "max_error", "attitude_rmse", "saturated_share", "command_change", "charge_used",
-    "peak_speed", "duration", "solve_time_median", "solve_time_p99",
-)  # fmt: skip
+    "mean_error",
+    "rmse",
+    "max_error",
+    "attitude_rmse",
+    "saturated_share",
+    "command_change",
+    "charge_used",
+    "peak_speed",
+    "duration",
+    "solve_time_median",
+    "solve_time_p99",
+)
 EXACT = [name for name in METRICS if not name.startswith("solve_time")]  # the same for the same flight
 NOTE = "means over the flights that all of them completed in every one of these results"
 
 Key = tuple[Any, ...]  # condition, contestant, seed
+Report = dict[str, Any]  # by the names that --json has
 
 
 class Side(NamedTuple):
@@ -94,7 +105,8 @@ def _checkpoint(path: Path) -> Side:
     }
     numbers |= {f"drag_{axis} (1/s)": value for axis, value in zip("xyz", summary["drag"], strict=True)}
     for name, output in summary["outputs"].items():
-        numbers |= {f"{name} signal": output["signal_std"], f"{name} noise": output["noise_std"]}
+        numbers[f"{name} signal"] = output["signal_std"]
+        numbers[f"{name} noise"] = output["noise_std"]
         scales = zip(output["features"], output["lengthscale"], strict=True)
         numbers |= {f"{name} length of {feature}": scale for feature, scale in scales}
     return Side(summary["kind"], {**{name: summary[name] for name in names}, "outputs": features}, numbers)
@@ -103,7 +115,7 @@ def _checkpoint(path: Path) -> Side:
 SIDES = {"flight": _flight, "checkpoint": _checkpoint}
 
 
-def compare(*files: str | Path) -> dict[str, Any]:
+def compare(*files: str | Path) -> Report:
     """What differs; `lines` and `tables` are for people, the rest for programs (SI units).
 
     Raises UsageError if something is not there, not of the same kind, or of a kind that cannot be compared.
@@ -116,7 +128,7 @@ def compare(*files: str | Path) -> dict[str, Any]:
         if kind != kinds[0]:
             named = [k if k == "results" else f"a {k}" for k in (kinds[0], kind)]
             raise UsageError(f"cannot compare {named[0]} ({files[0]}) with {named[1]} ({path}): give two of one kind")
-    report: dict[str, Any] = {"kind": kinds[0], "names": names_of(paths)}
+    report: Report = {"kind": kinds[0], "names": names_of(paths)}
     report |= {"a": str(files[0]), "b": str(files[1])} if len(paths) == 2 else {}
     report |= _results(paths) if kinds[0] == "results" else _sides([SIDES[kinds[0]](path) for path in paths], paths)
     if len(paths) > 2:
@@ -127,11 +139,13 @@ def compare(*files: str | Path) -> dict[str, Any]:
 def names_of(paths: Sequence[Path]) -> list[str]:
     """A short name of each path; the whole paths where two names would be the same."""
     short = [path.stem if path.is_file() else path.resolve().name for path in paths]
-    return short if len(set(short)) == len(short) else list(map(str, paths))
+    if len(set(short)) == len(short):
+        return short
+    return list(map(str, paths))
 
 
 # --------------------------------------------------------------------------------------------------- settings, numbers
-def record_of(metadata: Mapping[str, Any]) -> dict[str, Any]:
+def record_of(metadata: Mapping[str, Any]) -> Report:
     """What decides a flight: its configuration, the content of its checkpoint, and the versions that flew it."""
     git = (metadata.get("provenance") or {}).get("git") or {}
     versions = {"sources": metadata.get("sources") or "", "commit": (git.get("commit") or "")[:10]}
@@ -146,7 +160,10 @@ def record_of(metadata: Mapping[str, Any]) -> dict[str, Any]:
 def differing(*records: Mapping[str, Any]) -> dict[str, list[Any]]:
     """Dotted key -> its value in each, for those that differ; "-" for a missing key."""
     sides = list(map(flat, records))
-    values = {key: [side.get(key, ABSENT) for side in sides] for side in sides for key in side}
+    values = {}
+    for side in sides:
+        for key in side:
+            values[key] = [side.get(key, ABSENT) for side in sides]
     return {key: several for key, several in values.items() if any(value != several[0] for value in several)}
 
 
@@ -161,9 +178,13 @@ def _setting_table(settings: Mapping[str, Sequence[Any]], names: Sequence[str]) 
 
     def short(value: Any) -> str:
         text = "null" if value is None else plain(value)
-        return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 3]}..."
+        if len(text) <= MOST_LETTERS:
+            return text
+        return f"{text[: MOST_LETTERS - 3]}..."
 
-    rows = [[key, *map(short, values)] for key, values in list(settings.items())[:MOST_LINES]]
+    rows = []
+    for key, values in list(settings.items())[:MOST_LINES]:
+        rows.append([key, *map(short, values)])
     notes = [f"and {len(settings) - len(rows)} more (--json has all)"] if len(settings) > len(rows) else []
     return Table(["setting", *names], rows, left=frozenset(range(1 + len(names))), notes=notes)
 
@@ -185,26 +206,33 @@ def _number_row(name: str, values: Sequence[float]) -> list[str]:
 
 
 # ------------------------------------------------------------------------------------------------ flights, checkpoints
-def _sides(sides: Sequence[Side], paths: Sequence[Path]) -> dict[str, Any]:
+def _sides(sides: Sequence[Side], paths: Sequence[Path]) -> Report:
     """Settings and numbers beside each other; of two flights also the outcome and the distance between the paths."""
-    settings, names = differing(*(side.settings for side in sides)), names_of(paths)
-    metrics = {name: [side.numbers.get(name, math.nan) for side in sides] for side in sides for name in side.numbers}
+    settings = differing(*(side.settings for side in sides))
+    names = names_of(paths)
+    metrics = {}
+    for side in sides:
+        for name in side.numbers:
+            metrics[name] = [side.numbers.get(name, math.nan) for side in sides]
     tables = [_setting_table(settings, names)] if settings else []
     tables.append(Table(["figure", *names], [_number_row(name, values) for name, values in metrics.items()]))
-    report: dict[str, Any] = {"configuration": settings, "metrics": metrics, "tables": tables}
+    report: Report = {"configuration": settings, "metrics": metrics, "tables": tables}
     flights = [side.flight for side in sides if side.flight is not None]
     if flights:
         report["outcome"] = [flight.metadata["row"]["outcome"] for flight in flights]
     if len(sides) > 2:
         return report
     a, b = sides
-    changes = {name: change(*values) for name, values in metrics.items() if name in a.numbers and name in b.numbers}
+    changes = {}
+    for name, both in metrics.items():
+        if name in a.numbers and name in b.numbers:
+            changes[name] = change(*both)
     only = {"a": [n for n in a.numbers if n not in b.numbers], "b": [n for n in b.numbers if n not in a.numbers]}
     lines = [f"a  {paths[0]}: {a.about}", f"b  {paths[1]}: {b.about}", "", *_setting_lines(settings), ""]
-    rows = [
-        [*_number_row(name, [values["a"], values["b"], values["difference"]]), relative(values["relative"])]
-        for name, values in changes.items()
-    ]
+    rows = []
+    for name, found in changes.items():
+        of_name = _number_row(name, [found["a"], found["b"], found["difference"]])
+        rows.append([*of_name, relative(found["relative"])])
     if flights:
         causes = [f" ({cause})" if (cause := flight.metadata.get("cause")) else "" for flight in flights]
         ended = dict.fromkeys(map("".join, zip(report["outcome"], causes, strict=True)))
@@ -217,7 +245,7 @@ def _sides(sides: Sequence[Side], paths: Sequence[Path]) -> dict[str, Any]:
     return report | {"metrics": changes, "only": only, "lines": lines}
 
 
-def _paths(a: Flight, b: Flight) -> dict[str, Any]:
+def _paths(a: Flight, b: Flight) -> Report:
     """The distance between two flights at the times of the one with the longer period, as far as both flew."""
     names = [name for name in a.columns if name in b.columns and name not in MEASURED]
     same = len(a) == len(b) and set(a.columns) == set(b.columns)
@@ -228,7 +256,9 @@ def _paths(a: Flight, b: Flight) -> dict[str, Any]:
     t = min((flight.t[flight.t <= end + 1e-9] for flight in (a, b)), key=len)
     if not len(t):
         return {"common": 0, "identical": False, "text": "one of them has none: the paths are not compared"}
-    paths = [np.column_stack([np.interp(t, flight.t, flight[f"p_{i}"]) for i in "xyz"]) for flight in (a, b)]
+    paths = []
+    for flight in (a, b):
+        paths.append(np.column_stack([np.interp(t, flight.t, flight[f"p_{i}"]) for i in "xyz"]))
     apart = norms(paths[0] - paths[1])
     at = int(np.argmax(apart))
     length = "" if len(a) == len(b) else f" of {len(a)} and {len(b)}"
@@ -237,7 +267,7 @@ def _paths(a: Flight, b: Flight) -> dict[str, Any]:
 
 
 # ------------------------------------------------------------------------------------------------------------- results
-def matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
+def matched(*tables: Rows) -> list[dict[Key, Row]]:
     """Rows by condition, contestant and seed; with the checkpoint only where it distinguishes contestants."""
     contestants = ((side, who) for side, rows in enumerate(tables) for who in set(map(contestant_of, rows)))
     models = Counter((side, controller, variant) for side, (controller, _, variant) in contestants)
@@ -253,17 +283,21 @@ def matched(*tables: Sequence[Row]) -> list[dict[Key, Row]]:
     return sides
 
 
-def _results(paths: Sequence[Path]) -> dict[str, Any]:
+def _results(paths: Sequence[Path]) -> Report:
     """Results folders; see the module. The metric is the first one's."""
     _, tables, records = zip(*map(read_results, paths), strict=True)
     metric = records[0].get("metric", "mean_error")
     sides = matched(*tables)
-    cells = {key: tuple(side[key] for side in sides) for key in sides[0] if all(key in side for side in sides)}
+    cells = {}
+    for key in sides[0]:
+        if all(key in side for side in sides):
+            cells[key] = tuple(side[key] for side in sides)
     labels = contestant_labels(distinct(contestant for _, contestant, _ in cells))
     completed = [key for key, rows in cells.items() if all(map(is_flown, rows))]
     ended = {who: {(at, seed) for at, contestant, seed in completed if contestant == who} for who in labels}
     compared, shared = common(ended)
-    means, texts = {}, []
+    means = {}
+    texts = []
     for who, label in labels.items():
         kept = [cells[at, who, seed] for at, seed in sorted(shared, key=str)] if who in compared else []
         means[label] = [_mean([rows[i] for rows in kept], metric) for i in range(len(paths))]
@@ -278,7 +312,11 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
     for name, missing in only.items():
         if missing:
             lines.append(f"only in {name}  {causes_text(missing)}")
-    report |= {"pairs": len(cells), "only": only, "configuration": {}, "outcome": {}, "metrics": []}
+    report["pairs"] = len(cells)
+    report["only"] = only
+    report["configuration"] = {}
+    report["outcome"] = {}
+    report["metrics"] = []
     if not cells:
         return report | {"lines": [*lines, "no cell is in both: nothing to compare"]}
     settings = _cell_settings(paths, cells)
@@ -290,13 +328,17 @@ def _results(paths: Sequence[Path]) -> dict[str, Any]:
     metrics = _contestants(cells, labels, records[0])
     lines += [*_setting_lines(settings), "", f"outcome  {changed}"]
     lines += [f"same     {same} of {len(cells)} pairs are the same to the last bit, measured times apart", ""]
-    report |= {"outcome": {f"{was} -> {now}": n for (was, now), n in outcomes.items()}, "identical": same}
-    report |= {"configuration": settings or {}, "metrics": metrics}
+    report["outcome"] = {f"{was} -> {now}": n for (was, now), n in outcomes.items()}
+    report["identical"] = same
+    report["configuration"] = settings or {}
+    report["metrics"] = metrics
     return report | {"lines": [*lines, *_metric_lines(metrics, metric)]}
 
 
-def _mean(rows: Sequence[Row], metric: str) -> float:
-    return sum(row[metric] for row in rows) / len(rows) if rows else math.nan
+def _mean(rows: Rows, metric: str) -> float:
+    if rows:
+        return sum(row[metric] for row in rows) / len(rows)
+    return math.nan
 
 
 def _missing(mine: Mapping[Key, Row], its: Mapping[Key, Row]) -> dict[str, int]:
@@ -310,7 +352,7 @@ def _cell_settings(roots: Sequence[Path], cells: Mapping[Key, tuple[Row, ...]]) 
     first: dict[Key, tuple[Row, ...]] = {}
     for key, pair in cells.items():
         first.setdefault(key[:2], pair)
-    differ: dict[str, list[dict[str, Any]]] | None = None  # key -> of each side: text -> value
+    differ: dict[str, list[Report]] | None = None  # key -> of each side: text -> value
     for pair in list(first.values())[:MOST_CONFIGURATIONS]:
         try:
             files = (CellStore(root).path(row["key"]) for root, row in zip(roots, pair, strict=True))
@@ -331,30 +373,45 @@ def _cell_settings(roots: Sequence[Path], cells: Mapping[Key, tuple[Row, ...]]) 
 
 def _contestants(
     cells: Mapping[Key, tuple[Row, ...]], labels: Mapping[Any, str], record: Mapping[str, Any]
-) -> list[dict[str, Any]]:
+) -> list[Report]:
     """For each contestant: completed flights, means of a and b over those that it completed in both, b against a."""
-    metric, confidence = record.get("metric", "mean_error"), record.get("confidence", 0.95)
+    metric = record.get("metric", "mean_error")
+    confidence = record.get("confidence", 0.95)
     pooled: list[Statistic] = []
-    records: list[dict[str, Any]] = []
+    records: list[Report] = []
     for contestant, label in labels.items():
         pairs = {key: pair for key, pair in cells.items() if key[1] == contestant}
-        sides = [(at, side, row) for (at, *_), pair in pairs.items() for side, row in zip("ab", pair, strict=True)]
+        sides = []
+        for (at, *_), pair in pairs.items():
+            for side, row in zip("ab", pair, strict=True):
+                sides.append((at, side, row))
         rows = [dict(row, controller=side, model="", variant=at.setting) for at, side, row in sides]
         comparison = overall(rows, metric=metric, baseline="a", confidence=confidence)
         if not comparison:  # its settings contradict each other
             continue
         pooled += comparison
-        completed = [p for p in pairs.values() if all(is_flown(row) and math.isfinite(row[metric]) for row in p)]
+        completed = []
+        for p in pairs.values():
+            if all(is_flown(row) and math.isfinite(row[metric]) for row in p):
+                completed.append(p)
         means = (_mean([pair[i] for pair in completed], metric) for i in (0, 1))
-        flown = {side: [sum(is_flown(pair[i]) for pair in pairs.values()), len(pairs)] for i, side in enumerate("ab")}
+        flown = {}
+        for i, side in enumerate("ab"):
+            flown[side] = [sum(is_flown(pair[i]) for pair in pairs.values()), len(pairs)]
         about = {"label": label, "cells": len(pairs), "flown": flown, "left_out": pooled[-1].left_out}
         records.append(about | change(*means))
     corrected = holm(np.array([s.p for s in pooled]))
     tests = int(np.count_nonzero(~np.isnan(corrected)))
     for line, s, p_holm in zip(records, pooled, corrected.tolist(), strict=True):
         s = replace(s, p_holm=p_holm, comparisons=tests)
-        line |= {"pairs": s.pairs, "seeds": s.units, "p": s.p, "p_holm": s.p_holm, "testable": s.testable}
-        line |= {"ratio": -s.reduction, "ratio_low": -s.reduction_high, "ratio_high": -s.reduction_low}
+        line["pairs"] = s.pairs
+        line["seeds"] = s.units
+        line["p"] = s.p
+        line["p_holm"] = s.p_holm
+        line["testable"] = s.testable
+        line["ratio"] = -s.reduction
+        line["ratio_low"] = -s.reduction_high
+        line["ratio_high"] = -s.reduction_low
         line["distinguishable"] = s.significant
     return records
 
@@ -362,9 +419,12 @@ def _contestants(
 def _metric_lines(metrics: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
     about = metric_of(metric)
     heading = [f"{about.title} ({about.unit})", "flown a", "flown b", "pairs", "seeds", "a", "b", "b - a", "ratio"]
-    rows, left_out = [], []
+    rows = []
+    left_out = []
     for record in metrics:
-        ratio, low, high = (record[name] for name in ("ratio", "ratio_low", "ratio_high"))
+        ratio = record["ratio"]
+        low = record["ratio_low"]
+        high = record["ratio_high"]
         text = relative(ratio) + ("" if ratio == 0 or math.isnan(low) else f" [{low:+.3g}, {high:+.3g}]")
         verdict = "not distinguishable" if record["testable"] else f"{count(record['seeds'], 'seed')} cannot tell"
         verdict = ("smaller" if ratio < 0 else "larger") if record["distinguishable"] else verdict

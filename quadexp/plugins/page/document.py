@@ -34,7 +34,9 @@ class Cell:
 def cell_of(text: str | Cell) -> Cell:
     """A cell of a table; of a text such as `**1.2** [1.1, 1.3]* (1 lost)` the rest stands below the number."""
     if isinstance(text, Cell) or (parts := _NUMBER.fullmatch(text)) is None:
-        return text if isinstance(text, Cell) else Cell(text)
+        if isinstance(text, Cell):
+            return text
+        return Cell(text)
     bold, value, limits, star, beside = parts.groups("")
     return Cell(value + star, (limits, beside), best=bool(bold))
 
@@ -76,7 +78,8 @@ def document(title: str, sections: Sequence[Section], **more: Any) -> str:
     from markupsafe import Markup
 
     environment = Environment(autoescape=True, finalize=_shown, trim_blocks=True, lstrip_blocks=True)
-    environment.filters |= {"typeset": typeset, "cells": lambda texts: [*map(cell_of, texts)]}
+    environment.filters["typeset"] = typeset
+    environment.filters["cells"] = lambda texts: [*map(cell_of, texts)]
     acts = any(block.tab or block.sorts for part in sections for block in part.blocks)
     return environment.from_string(template_text("page.html.j2")).render(
         title=title,
@@ -99,7 +102,9 @@ def template_text(name: str) -> str:
 
 
 def _shown(value: Any) -> Any:
-    return clean(value).encode(errors="backslashreplace").decode() if type(value) is str else value
+    if type(value) is str:
+        return clean(value).encode(errors="backslashreplace").decode()
+    return value
 
 
 def page_of(frame: SweepFrame, names: Sequence[str], title: str) -> str:

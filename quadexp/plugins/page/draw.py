@@ -53,9 +53,13 @@ from quadexp.writer import write_text
 
 SUFFIXES = ("png", "pdf", "svg", "html")
 ON_PAPER: Any = {  # letters of the size and kind of the text around: Times, in its free form
-    "font.size": 8, "axes.titlesize": 8, "legend.fontsize": 7, "lines.linewidth": 1.2,
-    "font.family": ["STIXGeneral", "DejaVu Sans"], "mathtext.fontset": "stix",
-}  # fmt: skip
+    "font.size": 8,
+    "axes.titlesize": 8,
+    "legend.fontsize": 7,
+    "lines.linewidth": 1.2,
+    "font.family": ["STIXGeneral", "DejaVu Sans"],
+    "mathtext.fontset": "stix",
+}
 LEAST_PANEL = 2.2  # inches, of the width of a panel on paper
 MAX_PANELS = 36  # six by six: smaller ones have no room for their labels
 WIDEST_LINEAR = 5.0  # ratio of the largest to the smallest mean, beyond which their axis is logarithmic
@@ -80,14 +84,17 @@ def _panels(view: View, size: tuple[float, float], most: int, room: float = 0, *
     """A figure and its grid of panels, each with its title, and what its marks are above them.
 
     size: of a panel (inches). most: panels across. room: inches beside the panels, for a legend. share: of axes."""
-    panels, without = view.panels[:MAX_PANELS], view.panels[MAX_PANELS:]
+    panels = view.panels[:MAX_PANELS]
+    without = view.panels[MAX_PANELS:]
     across, width = _across(view, size[0], most)
     down = math.ceil(len(panels) / across)
     each = min(size[1], 0.8 * width / across) if view.width else size[1]
     gone = [view.title(view.facet, facet) for facet in without]
     dropped = [f"no room for {len(gone)} panels: {', '.join(gone)}"] if gone else []
     lines = filter(None, (view.heading, *(() if view.width else (view.caption, *view.notes)), *dropped))
-    above = [row for line in lines for row in textwrap.wrap(line, int(15 * width))]
+    above = []
+    for line in lines:
+        above += textwrap.wrap(line, int(15 * width))
     figure = Figure(figsize=(width, view.height or each * down + 0.4 + room + 0.17 * len(above)))
     grid = figure.subplots(down, across, squeeze=False, **share)
     for panel, facet in zip(grid.flat, panels, strict=False):
@@ -111,7 +118,8 @@ def _across(view: View, size: float, most: int) -> tuple[int, float]:
 
 
 def _lines(view: View) -> Figure:
-    lines, look = view.lines(), looks_of(view)
+    lines = view.lines()
+    look = looks_of(view)
     labels = {line: label_of(view, line, view.names) for line in lines}
     size = max(3.1, 0.42 * len(view.x.values)) if view.x.kind == "group" else 3.1
     most = max(1, int(12.4 / size))
@@ -155,7 +163,10 @@ def label_of(view: View, line: Place, names: Mapping[str, str]) -> str:
     parts = []
     for k, (key, value) in enumerate(zip(view.by, line, strict=True)):
         if key == "model":
-            alike = {other[k] for other in view.lines() if other[:k] + other[k + 1 :] == line[:k] + line[k + 1 :]}
+            alike = set()
+            for other in view.lines():
+                if other[:k] + other[k + 1 :] == line[:k] + line[k + 1 :]:
+                    alike.add(other[k])
             if len(alike) == 1 and "controller" in view.by:
                 continue
             text = view.title((key,), (value,)) or ("" if "controller" in view.by else "no checkpoint")
@@ -182,9 +193,14 @@ def looks_of(view: View) -> dict[Place, Look]:
 
 
 def _draw_line(
-    panel: Any, view: View, of_line: Mapping[Any, Point | None], look: Mapping[str, Any], label: str,
-    beside: tuple[int, int], log: bool,
-) -> None:  # fmt: skip
+    panel: Any,
+    view: View,
+    of_line: Mapping[Any, Point | None],
+    look: Mapping[str, Any],
+    label: str,
+    beside: tuple[int, int],
+    log: bool,
+) -> None:
     there = [(value, point) for value, point in of_line.items() if point is not None and point.is_shown]
     if not there:
         return
@@ -227,8 +243,6 @@ def set_scale(panel: Any, axis: Axis, here: Sequence[Any]) -> None:
     values = [float(value) for value in here]
     if axis.scale == "log":
         panel.set_xscale("log")
-    elif axis.scale == "symlog":
-        panel.set_xscale("symlog", linthresh=min(value for value in axis.values if value > 0))
     shown = values if len(values) <= 8 else values[:: math.ceil(len(values) / 8)]
     if axis.scale == "linear":
         shown = [values[0]]
@@ -238,8 +252,7 @@ def set_scale(panel: Any, axis: Axis, here: Sequence[Any]) -> None:
     panel.set_xticks([] if axis.scale == "linear" else values, minor=True)
     panel.xaxis.set_major_formatter(PLAIN)
     panel.xaxis.set_minor_formatter(lambda value, _: "")
-    if axis.scale != "symlog":
-        panel.margins(x=0.08)
+    panel.margins(x=0.08)
 
 
 def _in_lines(text: str, width: int) -> str:
@@ -270,10 +283,8 @@ def _mark_gone(grid: Any, view: View, look: Mapping[Place, Look], labels: Mappin
         for panel, facet in zip(grid, view.panels, strict=False):
             gone = [(p[-1], point) for p, point in of_line.items() if p[:start] == facet and not point.is_shown]
             for value, point in gone:
-                at, edge = (
-                    (place_of(view.x, value, k, len(labels)), 0.97 - 0.055 * (k % 5)),
-                    panel.get_xaxis_transform(),
-                )
+                at = (place_of(view.x, value, k, len(labels)), 0.97 - 0.055 * (k % 5))
+                edge = panel.get_xaxis_transform()
                 panel.plot(*at, transform=edge, clip_on=False, **cross)
                 text = "invalid" if point.invalid else f"{point.ended}/{point.trials}"
                 beside = {"xytext": (5, 0), "textcoords": "offset points", "va": "center", "fontsize": 6.5}
@@ -296,7 +307,9 @@ def _heat_map(view: View) -> Figure:
 
 
 def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Normalize) -> None:
-    points = [[view.places.get((*facet, row, column)) for column in view.x.values] for row in down_axis.values]
+    points = []
+    for row in down_axis.values:
+        points.append([view.places.get((*facet, row, column)) for column in view.x.values])
     values = np.array([[view.factor * point.mean if point else math.nan for point in row] for row in points])
     panel.set_facecolor(EMPTY)
     panel.imshow(np.ma.masked_invalid(values), cmap=ERROR_COLOURS, norm=norm, aspect="auto", origin="lower")
@@ -311,9 +324,11 @@ def _draw_map(panel: Any, view: View, facet: Place, down_axis: Axis, norm: Norma
         point = points[j][i]
         if point is None:
             continue
-        lines, colour = [f"{point.ended}/{point.trials}"] if point.ended < point.trials else [], "#444444"
+        lines = [f"{point.ended}/{point.trials}"] if point.ended < point.trials else []
+        colour = "#444444"
         if point.is_shown:
-            lines, colour = [significant(value), *lines], ("#FFFFFF" if norm(value) > DARK else "#000000")
+            lines = [significant(value), *lines]
+            colour = "#FFFFFF" if norm(value) > DARK else "#000000"
         else:
             lines = [*lines, "flown"] if lines else ["invalid"]
             hatch = Rectangle((i - 0.5, j - 0.5), 1, 1, fill=False, hatch="///", edgecolor="#CCCCCC", linewidth=0)
@@ -342,11 +357,16 @@ def save_view(view: View, path: Path, title: str = "", *, force: bool = True) ->
 
 def page_of(view: View, title: str) -> str:
     """The figure with its numbers as one page that opens without a network."""
-    shown = [{**row, **{n: view.factor * row[n] for n in (view.y, "low", "high")}} for row in records(view)]
-    rows = [{n: float(f"{v:.6g}") if isinstance(v, float) else v for n, v in row.items()} for row in shown]
+    shown = []
+    for row in records(view):
+        shown.append({**row, **{n: view.factor * row[n] for n in (view.y, "low", "high")}})
+    rows = []
+    for row in shown:
+        rows.append({n: float(f"{v:.6g}") if isinstance(v, float) else v for n, v in row.items()})
     table = records_table(rows)
     heads = [f"{name} ({view.unit})" if name == view.y and view.unit else name for name in table.columns]
-    heading, notes = view.heading or title or view.y_label, (view.caption, *view.notes)
+    heading = view.heading or title or view.y_label
+    notes = (view.caption, *view.notes)
     figure = figure_html(figure_of(view), heading)
     return sortable_page(heading, replace(table, columns=heads), figures=[figure], notes=notes)
 

@@ -28,9 +28,11 @@ MAX_PANELS = 36  # of tracked paths in one figure
 
 @styled
 def tracked_paths(
-    flights: Mapping[tuple[str, str], Flight], title: str = "", missing: Mapping[tuple[str, str], str] | None = None,
+    flights: Mapping[tuple[str, str], Flight],
+    title: str = "",
+    missing: Mapping[tuple[str, str], str] | None = None,
     left_out: Sequence[str] = (),
-) -> Figure:  # fmt: skip
+) -> Figure:
     """Flown paths seen from above, coloured by the position error, over the reference; one scale for all panels.
 
     flights: (controller, condition) -> flight; a row a controller, a column a condition. missing: the reason of a place
@@ -79,7 +81,8 @@ def tracked_paths(
 
 def _draw_path(panel: Any, flight: Flight, error: np.ndarray, norm: Normalize) -> None:
     """error: of the samples (mm)."""
-    x, y = flight["p_x"], flight["p_y"]
+    x = flight["p_x"]
+    y = flight["p_y"]
     panel.plot(flight["ref_p_x"], flight["ref_p_y"], color="#888888", linewidth=0.8, label="reference")
     segments = np.stack([np.column_stack([x[:-1], y[:-1]]), np.column_stack([x[1:], y[1:]])], axis=1)
     flown = LineCollection(list(segments), cmap=ERROR_COLOURS, norm=norm, linewidth=1.6)
@@ -98,7 +101,8 @@ def flights_figure(flights: Mapping[str, Flight]) -> Figure:
     thrusts = [name for name in first.columns if name.startswith("u_")] if len(flights) == 1 else []
     figure = Figure(figsize=(10.0, 4.4))
     places: Any = figure.subplot_mosaic([["above", "course"], ["above", "thrusts" if thrusts else "course"]])
-    above, course = places["above"], places["course"]
+    above = places["above"]
+    course = places["course"]
     referred = "ref_p_x" in first.columns
     if referred:
         above.plot(first["ref_p_x"], first["ref_p_y"], color="#888888", linewidth=3.5, alpha=0.45, label="reference")
@@ -106,10 +110,8 @@ def flights_figure(flights: Mapping[str, Flight]) -> Figure:
     for (name, flight), worn in zip(flights.items(), look.values(), strict=True):
         above.plot(flight["p_x"], flight["p_y"], label=name, **worn.line())
         if referred:
-            values, name = (
-                np.maximum(MS * position_error(flight), 1e-6),
-                f"{name}: mean {MS * mean_error(flight):.3g} mm",
-            )
+            values = np.maximum(MS * position_error(flight), 1e-6)
+            name = f"{name}: mean {MS * mean_error(flight):.3g} mm"
         else:
             values = norms(flight.stack(["v_x", "v_y", "v_z"]))
         course.plot(flight.t, values, label=name, **worn.line())
@@ -118,7 +120,8 @@ def flights_figure(flights: Mapping[str, Flight]) -> Figure:
     course.set(xlabel="" if thrusts else "time (s)", ylabel="position error (mm)" if referred else "speed (m/s)")
     if referred and len(flights) > 1:
         drawn = [line.get_ydata() for line in course.get_lines()]
-        least, largest = min(float(np.percentile(values, 2)) for values in drawn), max(map(np.max, drawn))
+        least = min(float(np.percentile(values, 2)) for values in drawn)
+        largest = max(map(np.max, drawn))
         course.set(yscale="log")
         course.set_ylim(bottom=max(1e-4 * largest, 0.5 * least))
         plain_log(course.yaxis, minor=True)

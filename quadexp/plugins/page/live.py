@@ -6,13 +6,12 @@ The table is that of the results, of the flights that are there: over common fli
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from datetime import timedelta
 
 from quadexp.plugins.page.document import Block, Section, document
 from quadexp.report.metrics import metric_of
-from quadexp.report.pairing import is_invalid
+from quadexp.report.pairing import Row, is_invalid
 from quadexp.report.table import Table
 from quadexp.report.tables import error_table
 from quadexp.report.text import shown
@@ -29,7 +28,7 @@ class Live:
     elapsed: float = 0.0
     before: int = 0
     state: str = "running"
-    rows: list[Mapping[str, Any]] = field(default_factory=list)
+    rows: list[Row] = field(default_factory=list)
 
     @property
     def done(self) -> int:
@@ -37,7 +36,8 @@ class Live:
 
     def progress_text(self) -> str:
         """How far it is, in a sentence; how long the rest will take at the rate so far, where that is known."""
-        count, flown = f"{self.done} of {self.total} flights", self.done - self.before
+        count = f"{self.done} of {self.total} flights"
+        flown = self.done - self.before
         if self.state != "running":
             return f"{count}, {self.state}"
         rest = f", about {clock(self.elapsed / flown * (self.total - self.done))} left" if flown > 0 else ""
@@ -49,16 +49,16 @@ class Live:
         rows = [row for row in self.rows if not is_invalid(row)]  # settings that contradict each other are no flight
         if not rows:
             return Table(["trajectory", "m/s"], [], title)
-        known = [{**row, self.metric: math.nan if row[self.metric] is None else row[self.metric]} for row in rows]
+        known = []
+        for row in rows:
+            known.append({**row, self.metric: math.nan if row[self.metric] is None else row[self.metric]})
         table = error_table(known, self.metric, baseline="")
         return replace(table, title=title, notes=table.notes[:1])
 
 
 def clock(seconds: float) -> str:
-    """Such as "1:05 min" or "2:03:10 h"."""
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d} h" if hours else f"{minutes}:{rest:02d} min" if minutes else f"{rest} s"
+    """Hours, minutes and seconds, such as "0:01:05"."""
+    return str(timedelta(seconds=round(seconds)))
 
 
 def page(live: Live, seconds: float) -> str:

@@ -78,7 +78,10 @@ def _rows(output: OutputPosterior, features: np.ndarray, data: ResidualDataset) 
     """Rows with the given features (k, d). What the prior mean and linear drag read beside them stands at its median
     in `data`; where the collective thrust is a feature, the rotors share it evenly."""
     rotors = [name for name in data.columns if name.startswith("u_")]
-    beside = {name: float(np.median(data.columns[name])) for name in (*VELOCITY, *rotors) if name in data.columns}
+    beside = {}
+    for name in (*VELOCITY, *rotors):
+        if name in data.columns:
+            beside[name] = float(np.median(data.columns[name]))
     columns = {name: np.full(len(features), value) for name, value in beside.items()}
     columns |= {name: features[:, j] for j, name in enumerate(output.features)}
     if THRUST in columns:
@@ -118,7 +121,10 @@ def fit_figure(model: GaussianProcessModel, data: ResidualDataset) -> Figure:
     data: samples to show, best held-out ones. With several features, a panel moves one of them and holds
     the others at their medians; the data are moved by the model's difference (`moved`).
     """
-    pairs = [(output, i) for output in model.outputs for i in range(len(output.features))]
+    pairs = []
+    for output in model.outputs:
+        for i in range(len(output.features)):
+            pairs.append((output, i))
     columns = min(len(pairs), MAX_COLUMNS)
     lines = -(-len(pairs) // columns)
     figure = Figure(figsize=(3.3 * columns + 0.4, 4.6 * lines + 0.4))
@@ -140,7 +146,9 @@ def _draw_fit(
     features = data.matrix(output.features)
     x, mean, std, line, median = curve(model, output, i, data)
     target, remainder = moved(model, output, i, data)
-    band, low, high = 2 * std, x[0], x[-1]
+    band = 2 * std
+    low = x[0]
+    high = x[-1]
     ends = low - 0.03 * (high - low), high + 0.03 * (high - low)
     inside = (features[:, i] >= low) & (features[:, i] <= high)  # beyond, the model extrapolates
     if not inside.any():
@@ -149,11 +157,10 @@ def _draw_fit(
     bottom = _limits(np.array([-1, 1]) * max(np.quantile(np.abs(remainder[inside]), 0.998), 1.15 * np.median(band)))
     points = output.inducing[:, i]
     points = points[(points > ends[0]) & (points < ends[1])]
-    others = [
-        f"{symbol(name)} = {round(value, 1) + 0.0:g} {unit(name)}"
-        for j, (name, value) in enumerate(zip(output.features, median, strict=True))
-        if j != i
-    ]
+    others = []
+    for j, (name, value) in enumerate(zip(output.features, median, strict=True)):
+        if j != i:
+            others.append(f"{symbol(name)} = {round(value, 1) + 0.0:g} {unit(name)}")
     title = [f"{symbol(output.output)} over {symbol(output.features[i])}" + (", at" if others else "")]
     title += [", ".join(others[j : j + 3]) for j in range(0, len(others), 3)]
     density(upper, features[:, i], target, (*ends, *top), (60, 36))
@@ -177,7 +184,8 @@ def _draw_fit(
 
 def _limits(values: np.ndarray) -> tuple[float, float]:
     """Vertical limits around the values, with a little air."""
-    low, high = float(np.min(values)), float(np.max(values))
+    low = float(np.min(values))
+    high = float(np.max(values))
     return low - 0.06 * (high - low), high + 0.06 * (high - low)
 
 

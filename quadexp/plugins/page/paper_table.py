@@ -51,15 +51,17 @@ def paper_table(
         return _named(replace(table, rows=table.rows[table.head :], head=0), names, metric)
     down, across = _chosen(frame, rows, columns)
     others = [key for key in frame.swept if key not in ("seed", *down, *across)]
-    keys, confidence = [*down, *across], float(frame.record.get("confidence", 0.95))
+    keys = [*down, *across]
+    confidence = float(frame.record.get("confidence", 0.95))
     points_of = points(frame, keys, metric, others=others, confidence=confidence)
     single = {} if metric == SUCCESS else _statistics(frame, keys, metric)
     factor, unit = shown(metric)
-    cells = {
-        place: cell_text(factor, point, single.get(place), intervals, digits) for place, point in points_of.items()
-    }
+    cells = {}
+    for place, point in points_of.items():
+        cells[place] = cell_text(factor, point, single.get(place), intervals, digits)
     n = len(down)
-    lines, heads = distinct(place[:n] for place in cells), distinct(place[n:] for place in cells)
+    lines = distinct(place[:n] for place in cells)
+    heads = distinct(place[n:] for place in cells)
     title = "share of completed flights" if metric == SUCCESS else metric_of(metric).title + f" ({unit})" * bool(unit)
     notes = [*(f"mean over {key}: {', '.join(map(str, frame.values(key)))}" for key in others)]
     if any(cell.endswith("*") for cell in cells.values()):
@@ -86,8 +88,12 @@ def _chosen(
 ) -> tuple[list[str], list[str]]:
     """Keys down and across. A swept setting of the controller that is in neither goes across, or else down: a mean over
     two controllers would be the error of neither."""
-    down, across = checked_keys(frame, rows or ()), checked_keys(frame, columns or ())
-    twice = [key for key in (*down, *across) if (*down, *across).count(key) > 1]
+    down = checked_keys(frame, rows or ())
+    across = checked_keys(frame, columns or ())
+    twice = []
+    for key in (*down, *across):
+        if (*down, *across).count(key) > 1:
+            twice.append(key)
     if twice:
         raise UsageError(f"{twice[0]}: stands twice among --rows and --columns")
     free = [key for key in frame.swept if key not in ("seed", *down, *across)]
@@ -105,7 +111,9 @@ def _chosen(
 def _statistics(frame: SweepFrame, keys: Sequence[str], metric: str) -> dict[Place, Statistic]:
     """The statistic of each place that is one contestant in one condition."""
     every = compute_statistics(frame.rows, metrics=(metric,), **_options(frame))
-    by_flight = {(s.contestant, s.plant, s.vehicle, s.trajectory, str(s.speed), s.setting): s for s in every}
+    by_flight = {}
+    for s in every:
+        by_flight[s.contestant, s.plant, s.vehicle, s.trajectory, str(s.speed), s.setting] = s
     columns = [frame.controllers(keys) if key == "controller" else frame.column(key) for key in keys]
     flown = grouped((place, i) for i, place in enumerate(zip(*columns, strict=True)))
     statistics = {}
@@ -124,7 +132,9 @@ def _text(key: str, value: object) -> str:
     """A value with its unit."""
     if key == "trajectory.speed":
         return f"{value_text(key, value)} m/s"
-    return value_text(key, value) if key in (*FLOWN, "world", "plant") else setting_text(key, value)
+    if key in (*FLOWN, "world", "plant"):
+        return value_text(key, value)
+    return setting_text(key, value)
 
 
 def _named(table: Table, names: Mapping[str, str], metric: str) -> Table:
@@ -139,7 +149,8 @@ def _named(table: Table, names: Mapping[str, str], metric: str) -> Table:
                 text = re.sub(whole, replacement.replace("\\", r"\\"), text)
         return text
 
-    n, notes = table.beside, [said(note) for note in table.notes]
+    n = table.beside
+    notes = [said(note) for note in table.notes]
     if any(re.search(r"\d/\d", cell) for row in table.rows for cell in row[n:]):
         notes.append("k/n: k of n flights were completed")
     columns = [said(text) for text in table.columns]

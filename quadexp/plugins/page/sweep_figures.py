@@ -6,7 +6,7 @@ Nothing here imports matplotlib before a figure is drawn.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.names import distinct, file_name
 from quadexp.plugins.page.view import View, automatic
 from quadexp.report.frame import SweepFrame
-from quadexp.report.pairing import condition_of, contestant_labels, contestant_of, is_flown
+from quadexp.report.pairing import Row, Rows, condition_of, contestant_labels, contestant_of, grouped, is_flown
 from quadexp.report.tables import course_labels
 from quadexp.report.text import speed_text
 from quadexp.sweeps.engine import Workers, cause
@@ -27,8 +27,6 @@ from quadexp.writer import clean, remove
 FOLDER = "figures"
 LONGEST = 600.0  # s that one figure may take
 MAX_CONDITIONS = 3  # of tracked paths side by side
-
-Row = Mapping[str, Any]
 
 
 class Drawing(NamedTuple):
@@ -46,18 +44,22 @@ def draw(drawing: Drawing, path: Path) -> None:
     save(drawing.make(*drawing.inputs), path, path.parent.parent)
 
 
-def drawings(
-    rows: Sequence[Row], out: str | Path, metric: str, confidence: float, record: Row | None = None
-) -> list[Drawing]:
+def drawings(rows: Rows, out: str | Path, metric: str, confidence: float, record: Row | None = None) -> list[Drawing]:
     """The figures of these rows, the one that takes longest first. out: folder of the results. record: of the results,
     which says what was swept; without it the rows do, as far as they can."""
-    store, figures = CellStore(out), []
+    store = CellStore(out)
+    figures = []
     with contextlib.suppress(UsageError):  # no flight was completed
         for view in automatic(SweepFrame([*map(dict, rows)], out, record), metric, confidence):
             figures.append(Drawing(f"{metric.removesuffix('_error')}_error_{view.file_name}", _swept, (view,)))
     for trajectory, grid in path_grids(rows).items():
-        flights = {place: str(store.path(row["key"])) for place, row in grid.cells.items() if is_flown(row)}
-        missing = {place: row["outcome"] for place, row in grid.cells.items() if not is_flown(row)}
+        flights = {}
+        missing = {}
+        for place, row in grid.cells.items():
+            if is_flown(row):
+                flights[place] = str(store.path(row["key"]))
+            else:
+                missing[place] = row["outcome"]
         figures.append(Drawing(f"path_{trajectory}", _paths, (flights, trajectory, missing, grid.left_out)))
     return figures
 
@@ -70,44 +72,43 @@ class PathGrid(NamedTuple):
     left_out: list[str]
 
 
-def path_grids(rows: Sequence[Row]) -> dict[str, PathGrid]:
+def path_grids(rows: Rows) -> dict[str, PathGrid]:
     """By trajectory with a completed flight. Of many speeds the slowest, the fastest, one between; where
     worlds and other settings differ too, the fastest of each."""
     names = contestant_labels(distinct(map(contestant_of, rows)))
     courses = course_labels((row["trajectory"], condition_of(row).setting) for row in rows)
-    several = [key for key in ("plant", "vehicle") if len({row[key] for row in rows}) > 1]
-    cells: dict[str, dict[tuple[str, str, float], Row]] = {}
+    several = []
+    for key in ("plant", "vehicle"):
+        if len({row[key] for row in rows}) > 1:
+            several.append(key)
+    cells: dict[str, dict[tuple[str, float], dict[str, Row]]] = {}
     for row in rows:
         *_, speed, setting = condition_of(row)
         worlds = [str(row[key]) for key in several]  # as tables name them
         settings = courses[row["trajectory"], setting].removeprefix(row["trajectory"]).strip(", ")
         words = ", ".join(filter(None, [*worlds, settings])).replace("=", " ")
-        place = names[contestant_of(row)], words, speed or 0.0
-        cells_of_trajectory = cells.setdefault(row["trajectory"], {})
-        if place not in cells_of_trajectory or (is_flown(row) and not is_flown(cells_of_trajectory[place])):
-            cells_of_trajectory[place] = row
+        name = names[contestant_of(row)]
+        of_condition = cells.setdefault(row["trajectory"], {}).setdefault((words, speed or 0.0), {})
+        if name not in of_condition or (is_flown(row) and not is_flown(of_condition[name])):
+            of_condition[name] = row
     grids: dict[str, PathGrid] = {}
-    for trajectory, cells_of_trajectory in cells.items():
-        flown = sorted(
-            {place[1:] for place, row in cells_of_trajectory.items() if is_flown(row)}, key=lambda place: place[::-1]
-        )
-        speeds = {words: [speed for other, speed in flown if other == words] for words, _ in flown}
+    for trajectory, conditions in cells.items():
+        flown = [condition for condition, of in conditions.items() if any(map(is_flown, of.values()))]
+        flown.sort(key=lambda condition: condition[::-1])
+        speeds = grouped(flown)
         each = max(1, MAX_CONDITIONS // max(len(speeds), 1))
-        kept = [
-            (words, speed)
-            for words, of_words in list(speeds.items())[:MAX_CONDITIONS]
-            for speed in sorted({of_words[round(k)] for k in np.linspace(len(of_words) - 1, 0, each)})
-        ]
+        kept = []
+        for words, of_words in list(speeds.items())[:MAX_CONDITIONS]:
+            chosen = sorted({round(k) for k in np.linspace(len(of_words) - 1, 0, each)})
+            kept += [(words, of_words[k]) for k in chosen]
         texts = {(words, v): ", ".join(filter(None, (speed_text(v or None), words))) for words, v in flown}
-        chosen = {
-            (name, texts[condition]): row
-            for condition in kept
-            for (name, *other), row in cells_of_trajectory.items()
-            if tuple(other) == condition
-        }
+        shown = {}
+        for condition in kept:
+            for name, row in conditions[condition].items():
+                shown[name, texts[condition]] = row
         if kept:
-            left_out = [text for place, text in texts.items() if place not in kept]
-            grids[trajectory] = PathGrid(chosen, left_out)
+            left_out = [text for condition, text in texts.items() if condition not in kept]
+            grids[trajectory] = PathGrid(shown, left_out)
     return grids
 
 
@@ -133,7 +134,9 @@ class SweepFigures:
     """
 
     def __init__(self, out: str | Path, processes: Workers | None, metric: str, confidence: float) -> None:
-        self._out, self._processes, self._options = Path(out), processes, (metric, confidence)
+        self._out = Path(out)
+        self._processes = processes
+        self._options = (metric, confidence)
         self._asked: list[str] = []
         self._running: dict[str, Callable[[], None]] = {}
         self.failed: dict[str, str] = {}
@@ -152,7 +155,7 @@ class SweepFigures:
         """The SVG; the PNG lies beside it."""
         return self._out / FOLDER / f"{file_name(name)}.svg"
 
-    def begin(self, rows: Sequence[Row], record: Row | None = None) -> None:
+    def begin(self, rows: Rows, record: Row | None = None) -> None:
         """Begin to draw the figures of the rows. The flights must be on disk. record: of the results, which says what
         was swept."""
         try:

@@ -24,6 +24,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -59,20 +60,26 @@ def points(
     columns = [shown_column(frame, key, keys) for key in keys]
     others_columns = [frame.column(key) for key in others]
     values = [1.0] * len(frame.rows) if y == SUCCESS else frame.column(y)
-    flights = [(tuple(column[i] for column in others_columns), row["seed"]) for i, row in enumerate(frame.rows)]
+    flights = []
+    for i, row in enumerate(frame.rows):
+        flights.append((tuple(column[i] for column in others_columns), row["seed"]))
     well = [is_flown(row) and value is not None for row, value in zip(frame.rows, values, strict=True)]
     places = grouped((place, i) for i, place in enumerate(zip(*columns, strict=True)) if None not in place)
     beside: dict[Place, dict[Place, set[Any]]] = {}  # what is flown -> place -> completed flights
     for place, numbers in places.items():
         flown = tuple(value for value, key in zip(place, keys, strict=True) if not of_contestant(key))
-        broken = {flights[i] for i in numbers if not well[i] and not is_invalid(frame.rows[i])}
+        broken = set()
+        for i in numbers:
+            if not well[i] and not is_invalid(frame.rows[i]):
+                broken.add(flights[i])
         beside.setdefault(flown, {})[place] = {flights[i] for i in numbers if well[i]} - broken
     used = {place: shared for ended in beside.values() for compared, shared in [common(ended)] for place in compared}
     result = {}
     for place, numbers in places.items():
         rows = [frame.rows[i] for i in numbers]
         outcomes = Counter(row["outcome"] for row in rows if not is_invalid(row))
-        trials, completed = outcomes.total(), outcomes.pop("ok", 0)
+        trials = outcomes.total()
+        completed = outcomes.pop("ok", 0)
         point = Point(ended=completed, trials=trials, lost=outcomes, invalid="" if trials else str(rows[0]["cause"]))
         if y == SUCCESS:
             single = len({row["seed"] for row in rows}) == len(rows)
@@ -94,7 +101,9 @@ def shown_column(frame: SweepFrame, key: str, keys: Sequence[str]) -> list[Any]:
     name of a controller has no compensation in it that is a key of its own."""
     if key == "controller":
         return frame.controllers(keys)
-    return [row["model"] or "" for row in frame.rows] if key == "model" else frame.column(key)
+    if key == "model":
+        return [row["model"] or "" for row in frame.rows]
+    return frame.column(key)
 
 
 @dataclass(frozen=True)
@@ -112,19 +121,19 @@ class Axis:
         return cls(key, tuple(values), "number" if values and all(map(is_number, values)) else "group")
 
     @property
-    def scale(self) -> Literal["linear", "log", "symlog"]:
-        """Logarithmic for three or more positive values that are rather spaced by a ratio than by a difference, over a
-        factor of 4 or more; symlog where zero is among them."""
-        if self.kind == "group":
+    def scale(self) -> Literal["linear", "log"]:
+        """Logarithmic for three or more values, all positive, that are rather spaced by a ratio than by a difference,
+        over a factor of 4 or more."""
+        if self.kind == "group" or len(self.values) < 3:
             return "linear"
-        positive = [float(value) for value in self.values if value > 0]
-        if len(positive) < 3 or min(map(float, self.values)) < 0 or positive[-1] < 4 * positive[0]:
+        values = [float(value) for value in self.values]
+        if values[0] <= 0 or values[-1] < 4 * values[0]:
             return "linear"
-        steps = [b - a for a, b in zip(positive, positive[1:], strict=False)]
-        ratios = [math.log(b / a) for a, b in zip(positive, positive[1:], strict=False)]
-        if max(ratios) / min(ratios) >= max(steps) / min(steps):
-            return "linear"
-        return "log" if len(positive) == len(self.values) else "symlog"
+        steps = [after - before for before, after in pairwise(values)]
+        ratios = [math.log(after / before) for before, after in pairwise(values)]
+        if max(ratios) / min(ratios) < max(steps) / min(steps):
+            return "log"
+        return "linear"
 
     @property
     def label(self) -> str:
@@ -180,17 +189,24 @@ class View:
         return replace(self, colours=colours)
 
     def _texts(self) -> set[str]:
-        values = {value_text(key, v) for place in self.places for key, v in zip(self.keys, place, strict=True)}
+        values = set()
+        for place in self.places:
+            for key, v in zip(self.keys, place, strict=True):
+                values.add(value_text(key, v))
         return values | set(map(str, self.alone.values()))
 
     def parts(self) -> dict[str, View]:
         """Name of a file -> the view of one panel, of which it is the heading."""
-        n, name = len(self.facet), f"{self.y}_{self.file_name}"
+        n = len(self.facet)
+        name = f"{self.y}_{self.file_name}"
         if not n:
             return {name: self}
         parts = {}
         for facet in self.panels:
-            places = {place[n:]: point for place, point in self.places.items() if place[:n] == facet}
+            places = {}
+            for place, point in self.places.items():
+                if place[:n] == facet:
+                    places[place[n:]] = point
             heading = self.title(self.facet, facet)
             if any(point.is_shown for point in places.values()):
                 words = "_".join(heading.replace(",", "").split())
@@ -214,7 +230,9 @@ class View:
     def _values(self, start: int, end: int) -> list[Place]:
         """The different values of some of the keys, sorted where all are numbers."""
         values = distinct(place[start:end] for place in self.places)
-        return sorted(values) if all(is_number(value) for place in values for value in place) else values
+        if all(is_number(value) for place in values for value in place):
+            return sorted(values)
+        return values
 
     @property
     def file_name(self) -> str:
@@ -266,24 +284,34 @@ class View:
         text = value_text(key, value)
         if text in self.names or key in FLOWN:
             return self.names.get(text, text)
-        return f"{text} m/s" if key == "trajectory.speed" else setting_text(key, value)
+        if key == "trajectory.speed":
+            return f"{text} m/s"
+        return setting_text(key, value)
 
 
 def view(
-    frame: SweepFrame, *, y: str = "mean_error", x: str | None = None, by: Sequence[str] | None = None,
-    facet: Sequence[str] | None = None, kind: Kind | None = None,
-) -> View:  # fmt: skip
+    frame: SweepFrame,
+    *,
+    y: str = "mean_error",
+    x: str | None = None,
+    by: Sequence[str] | None = None,
+    facet: Sequence[str] | None = None,
+    kind: Kind | None = None,
+) -> View:
     """The view that is asked for, completed by what was swept, with the confidence of the results' record. by, facet:
     None to choose.
 
     Raises UsageError for a key that is none, a key that is given twice, or where nothing can be drawn.
     """
-    metrics, confidence = [*filter(is_metric, frame.names), SUCCESS], float(frame.record.get("confidence", 0.95))
+    metrics = [*filter(is_metric, frame.names), SUCCESS]
+    confidence = float(frame.record.get("confidence", 0.95))
     if y not in metrics:
         raise UsageError(f"--y {y}: no number of a flight{suggestion(y, metrics)}")
     if x is None and kind is None and not by and not facet:
         return automatic(frame, y, confidence)[0]
-    given_x, given_by, given_facet = (checked_keys(frame, keys) for keys in ([x] if x else [], by or [], facet or []))
+    given_x = checked_keys(frame, [x] if x else [])
+    given_by = checked_keys(frame, by or [])
+    given_facet = checked_keys(frame, facet or [])
     stated = [*given_x, *given_by, *given_facet]
     for key in stated:
         if stated.count(key) > 1:
@@ -298,7 +326,8 @@ def view(
             raise UsageError("--kind heat: needs two keys: one for --x, one for --by")
         who = [key for key in who if key not in given_by]
     elif by is None:
-        given_by, who = who, []
+        given_by = who
+        who = []
     given_facet += who
     if facet is None:
         given_facet += [key for key in free if key not in (*given_by, *given_facet) and key in _names(free)]
@@ -347,7 +376,8 @@ def _made(
         column = frame.controllers([*keys, *others]) if key == "controller" else frame.column(key)
         if key not in (*keys, *others) and len(set(column)) == 1 and column[0] is not None:
             alone[key] = column[0]
-    axes, notes = (tuple(by), tuple(facet), tuple(others)), tuple(_notes(frame, keys, others, y, places))
+    axes = (tuple(by), tuple(facet), tuple(others))
+    notes = tuple(_notes(frame, keys, others, y, places))
     return View(kind, y, Axis.of(x, values), *axes, confidence, notes, places, alone)
 
 
@@ -366,7 +396,10 @@ def _notes(
         if len(values) == 1 and key not in ("seed", *FLOWN):
             notes.append(f"{key} is {value_text(key, values[0])} in all flights that have it")
         column = shown_column(frame, key, keys)
-        lacking = [row["controller"] for row, value in zip(frame.rows, column, strict=True) if value is None]
+        lacking = []
+        for row, value in zip(frame.rows, column, strict=True):
+            if value is None:
+                lacking.append(row["controller"])
         if lacking:
             names = listed(distinct(lacking))
             notes.append(f"not drawn: {count(len(lacking), 'flight')} without {key} ({names})")
@@ -406,4 +439,6 @@ def _longest(frame: SweepFrame, keys: Sequence[str]) -> str:
 
 def value_text(key: str, value: Any) -> str:
     """A value of a key: numbers without superfluous digits, a checkpoint by the end of its path."""
-    return str(value).rstrip("/").rpartition("/")[2] if key == "model" else plain(value)
+    if key == "model":
+        return str(value).rstrip("/").rpartition("/")[2]
+    return plain(value)

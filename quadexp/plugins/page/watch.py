@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 from quadexp.errors import QuadexpError
 from quadexp.plugins.page.live import Live, page
+from quadexp.report.pairing import Row
 from quadexp.writer import write_text
 
 FILE = "watch.html"  # in the folder of results
@@ -25,7 +25,8 @@ class Watch:
     """
 
     def __init__(self, out: Path, metric: str) -> None:
-        self.live, self.path = Live(title=str(out), metric=metric), out / FILE
+        self.live = Live(title=str(out), metric=metric)
+        self.path = out / FILE
         self._began = self._due = time.monotonic()
 
     def __enter__(self) -> Watch:
@@ -38,7 +39,7 @@ class Watch:
             now.state = "interrupted: run the same command to continue"
         self._write(now)
 
-    def on_result(self, row: Mapping[str, Any]) -> None:
+    def on_result(self, row: Row) -> None:
         """A flight is there."""
         self.live.rows.append(dict(row))
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from quadexp.log.schema import Flight
 from quadexp.physics.state import root_mean_square
 from quadexp.plugins.papers.lei_li.report import flown, titled, without_corridor
 from quadexp.report.metrics import position_error
+from quadexp.report.pairing import Rows
+from quadexp.report.paper import Drawn
 from quadexp.report.style import Figure, looks, plain_log, styled
 from quadexp.report.table import Table
 
@@ -21,7 +22,7 @@ TITLES = {
 }
 
 
-def draw(rows: Sequence[Mapping[str, Any]], out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
+def draw(rows: Rows, out: Path) -> Drawn:
     """Table and figure, of the flights whose vehicle changes."""
     flights: dict[str, dict[str, Flight]] = {}
     for row, flight in flown(without_corridor(rows), out):
@@ -37,7 +38,8 @@ def adaptation_table(flights: Mapping[str, Mapping[str, Flight]]) -> str:
     lines = []
     for plant, by_controller in flights.items():
         for name, flight in by_controller.items():
-            t, error = flight.t - change_time(flight), 1e3 * position_error(flight)
+            t = flight.t - change_time(flight)
+            error = 1e3 * position_error(flight)
             cells = []
             for low, high in WINDOWS:
                 inside = error[(t >= low) & (t < high)]

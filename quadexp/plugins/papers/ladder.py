@@ -8,14 +8,15 @@ those of one plant in several worlds (`plant` is "simplified/only_motor_lag"), f
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from quadexp.names import distinct
 from quadexp.plugins.page.draw import figure_of
 from quadexp.plugins.page.view import Axis, Place, View
-from quadexp.report.pairing import contestant_labels, grouped
+from quadexp.report.pairing import Rows, contestant_labels, grouped
+from quadexp.report.paper import Drawn
 from quadexp.report.paper_cells import Point
 from quadexp.report.statistics import Statistic, compute_statistics
 from quadexp.report.style import Figure
@@ -23,7 +24,6 @@ from quadexp.report.table import Table
 from quadexp.report.tables import course_labels
 from quadexp.report.text import speed_text
 
-Row = Mapping[str, Any]
 First = Literal["plant", "world"]
 TITLE = "Mean distance of the true position from the reference over the flight (mm), mean over seeds"
 
@@ -37,17 +37,17 @@ class Means(NamedTuple):
     places: dict[tuple[str, str, float], dict[str, Statistic]]
 
 
-def draw(rows: Sequence[Row], out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
+def draw(rows: Rows, out: Path) -> Drawn:
     """Table and figure of the ladder."""
     return {"ladder": overview(rows).markdown()}, {"ladder": means_figure(means_by_place(rows, "world"))}
 
 
-def overview(rows: Sequence[Row]) -> Table:
+def overview(rows: Rows) -> Table:
     """Mean position error (mm) by world and controller, of every trajectory and speed."""
     return means_table(means_by_place(rows, "world"), TITLE)
 
 
-def means_by_place(rows: Sequence[Row], first: First, order: Sequence[str] = ()) -> Means:
+def means_by_place(rows: Rows, first: First, order: Sequence[str] = ()) -> Means:
     """Statistics of the mean error: courses in the order of the rows, speeds ascending. order: of labels that come
     before the others."""
     statistics = compute_statistics(rows, metrics=("mean_error",))
@@ -77,10 +77,9 @@ def means_table(means: Means, title: str, *, bold: bool = False) -> Table:
         text = f"{1e3 * s.mean:.0f}" if s.mean >= 0.1 else f"{1e3 * s.mean:.3g}"
         return f"**{text}**" if bold and s.best else text
 
-    lines = [
-        [place, course, speed_text(speed, ""), *(cell(by_label.get(label)) for label in means.labels)]
-        for (place, course, speed), by_label in means.places.items()
-    ]
+    lines = []
+    for (place, course, speed), by_label in means.places.items():
+        lines.append([place, course, speed_text(speed, ""), *(cell(by_label.get(label)) for label in means.labels)])
     return Table([means.first, "trajectory", "m/s", *means.labels], lines, title, left=frozenset({0, 1}))
 
 
@@ -93,8 +92,11 @@ def means_figure(means: Means) -> Figure:
                 at = (course, speed, label, place) if means.first == "world" else (place, course, label, speed)
                 mean, low, high = (math.nan,) * 3 if s.failures else (s.mean, s.low, s.high)
                 places[at] = Point(mean, low, high, s.n, s.n, *s.flown, method=s.interval)
-    worlds, speeds = dict.fromkeys(at[0] for at in means.places), sorted({at[2] for at in means.places})
-    x, facet = Axis("world", tuple(worlds), "group"), ("trajectory", "trajectory.speed")
+    worlds = dict.fromkeys(at[0] for at in means.places)
+    speeds = sorted({at[2] for at in means.places})
+    x = Axis("world", tuple(worlds), "group")
+    facet = ("trajectory", "trajectory.speed")
     if means.first == "plant":
-        x, facet = Axis.of("trajectory.speed", speeds), ("plant", "trajectory")
+        x = Axis.of("trajectory.speed", speeds)
+        facet = ("plant", "trajectory")
     return figure_of(View("lines", "mean_error", x, ("controller",), facet, places=places))

@@ -65,23 +65,37 @@ class BelievedWorld:
         air: Residual | None,
         estimator: Estimator | None = None,
     ) -> None:
-        self._mpc, settings, self._estimator, vehicle = mpc, mpc.settings, estimator, mpc.vehicle
+        self._mpc = mpc
+        settings = mpc.settings
+        self._estimator = estimator
+        vehicle = mpc.vehicle
         self.rows: np.ndarray | None = None
         model = None
         self._air_scale = mpc.parameters.ravel()[-1:] if mpc.residual.unscaled is not None else None
         if air is not None and targets:
             model = (air.unscaled or air).form(mpc.backend == "compiled")
         mpc.set_disturbance(np.zeros(6))  # refuses a model without one
-        solution, n = mpc.prediction[0], vehicle.n_rotors
+        solution = mpc.prediction[0]
+        n = vehicle.n_rotors
         form = {"targets": targets, "parameters": mpc.parameters.size, "width": solution.shape[1]}
         update = None if estimator is None else estimator.update
         sizes = memory_sizes(vehicle, settings.nodes, estimator)
         function = cached_function(
-            mpc.backend, enter_function, vehicle, model, update, settings.nodes, settings.samples,
-            kept=tuple(sizes.items()), **form,
-        )  # fmt: skip
-        self._function, self.memory = function, Memory("BelievedWorld", sizes)
-        self.numbers, self.stated, self._sent = np.zeros(N_BELIEF), np.zeros(N_BELIEF), np.zeros(n)
+            mpc.backend,
+            enter_function,
+            vehicle,
+            model,
+            update,
+            settings.nodes,
+            settings.samples,
+            kept=tuple(sizes.items()),
+            **form,
+        )
+        self._function = function
+        self.memory = Memory("BelievedWorld", sizes)
+        self.numbers = np.zeros(N_BELIEF)
+        self.stated = np.zeros(N_BELIEF)
+        self._sent = np.zeros(n)
         samples = settings.samples * settings.nodes + 1
         self._horizon = np.zeros((samples, N_STATE)), np.zeros((samples - 1, n))
         last = mpc.memory.of_now["X"].reshape(solution.shape)
@@ -90,11 +104,14 @@ class BelievedWorld:
         self._places["period"] = np.full(1, settings.control_period)
         self._places["since"] = settings.dead_time + settings.node_times
         if estimator is not None:
-            self._places |= {"settings": estimator.settings, "delays": estimator.delays.numbers}
+            self._places["settings"] = estimator.settings
+            self._places["delays"] = estimator.delays.numbers
         assert mpc.disturbance is not None
         low, high = mpc.limits
         result_places = {"disturbance": mpc.disturbance, "low": low, "high": high, "found": self.numbers}
-        result_places |= {"x_in": np.zeros(N_STATE), "X_moved": solution, "squares": np.zeros(1)}
+        result_places["x_in"] = np.zeros(N_STATE)
+        result_places["X_moved"] = solution
+        result_places["squares"] = np.zeros(1)
         self._in_place = mpc.reference[0].shape[1] == N_STATE  # no thrusts among the states
         wide = tuple(np.zeros_like(array) for array in self._horizon)
         self._left = result_places | named(("X_in", "U_in"), mpc.reference if self._in_place else wide)
@@ -159,7 +176,8 @@ def memory_sizes(vehicle: Vehicle, nodes: int, estimator: Estimator | None) -> d
     sizes = {"origin": 3, "wind": 3, "air": 6 * (nodes + 1)}
     if estimator is not None:
         sizes |= kept_sizes(vehicle.n_rotors, estimator.delays)
-        sizes |= {"flown": 1, "estimate": estimator.update.size1_in("s")}
+        sizes["flown"] = 1
+        sizes["estimate"] = estimator.update.size1_in("s")
     return sizes
 
 
@@ -187,13 +205,20 @@ def enter_function(
     solution, in a frame that is the faster by the change of the wind from now on where that is large;
     squares: the sum of those of x_in, X_in and U_in; the memory's next values.
     """
-    n, rows = vehicle.n_rotors, samples * nodes + 1
+    n = vehicle.n_rotors
+    rows = samples * nodes + 1
     shapes = {"x": N_STATE, "X_ref": (N_STATE, rows), "U_ref": (n, rows - 1), "times": rows}
-    shapes |= {"period": 1, "X": (width, nodes + 1), "since": nodes + 1}
+    shapes["period"] = 1
+    shapes["X"] = (width, nodes + 1)
+    shapes["since"] = nodes + 1
     if update is None:
-        shapes |= {"belief": N_BELIEF}
+        shapes["belief"] = N_BELIEF
     else:
-        shapes |= {"reading": 3, "speed": n, "fresh": 2, "settings": update.size_in("settings"), "delays": 6}
+        shapes["reading"] = 3
+        shapes["speed"] = n
+        shapes["fresh"] = 2
+        shapes["settings"] = update.size_in("settings")
+        shapes["delays"] = 6
     shapes |= {"theta": parameters} if update is not None or model is not None else {}
     remembered = named_symbols(ca.MX, dict(kept))
     a = named_symbols(ca.MX, shapes) | {NOW + name: value for name, value in remembered.items()}
@@ -206,11 +231,17 @@ def enter_function(
     disturbance = ca.vertcat(force / vehicle.mass, spin)
     origin = remembered["origin"] + a["period"] * remembered["wind"]
 
-    times, X_ref, U_in, air = a["times"], a["X_ref"], a["U_ref"], remembered["air"]
-    attitude, rate = X_ref[ATTITUDE, :], X_ref[RATE, :]
+    times = a["times"]
+    X_ref = a["X_ref"]
+    U_in = a["U_ref"]
+    air = remembered["air"]
+    attitude = X_ref[ATTITUDE, :]
+    rate = X_ref[RATE, :]
     if targets:
-        at, inputs = range(0, rows, samples), ca.horzsplit(a["U_ref"])
-        states, ticks = [X_ref[:, i] for i in at], [times[i] for i in at]
+        at = range(0, rows, samples)
+        inputs = ca.horzsplit(a["U_ref"])
+        states = [X_ref[:, i] for i in at]
+        ticks = [times[i] for i in at]
         known = [inputs[min(i, rows - 2)] for i in at]
         theta = a["theta"][: model.size1_in(1)] if model is not None else None
         believed = (model, theta, disturbance, wind, air_scale, vehicle)
@@ -219,19 +250,26 @@ def enter_function(
         steps = [(c, d - c) for c, d in zip(changes, changes[1:], strict=False)]  # between nodes: from one to the next
         U_in = U_in + ca.horzcat(*(c + d * (i / samples) for c, d in steps for i in range(samples)))
         within = [moved[i // samples] for i in range(rows)]  # between nodes nothing weighs states
-        attitude, rate = ca.horzcat(*(m[:4] for m in within)), ca.horzcat(*(m[4:] for m in within))
+        attitude = ca.horzcat(*(m[:4] for m in within))
+        rate = ca.horzcat(*(m[4:] for m in within))
     position = X_ref[POSITION, :] - ca.repmat(origin, 1, rows) - wind @ times.T
     X_in = ca.vertcat(position, attitude, X_ref[VELOCITY, :] - ca.repmat(wind, 1, rows), rate)
-    x, change = a["x"], wind - remembered["wind"]
+    x = a["x"]
+    change = wind - remembered["wind"]
     x_in = ca.vertcat(x[POSITION] - origin, x[ATTITUDE], x[VELOCITY] - wind, x[RATE])
-    next_values |= {"origin": origin, "wind": wind, "air": air}
+    next_values["origin"] = origin
+    next_values["wind"] = wind
+    next_values["air"] = air
     results = {"x_in": x_in, "X_in": X_in, "U_in": U_in, "disturbance": disturbance, "found": belief}
-    low, high = (1 + ROUNDING) * vehicle.thrust_min, (1 - ROUNDING) * vehicle.thrust_max
-    results |= {"low": scale * low * ca.DM.ones(n), "high": scale * high * ca.DM.ones(n)}
+    low = (1 + ROUNDING) * vehicle.thrust_min
+    high = (1 - ROUNDING) * vehicle.thrust_max
+    results["low"] = scale * low * ca.DM.ones(n)
+    results["high"] = scale * high * ca.DM.ones(n)
     squares = ca.sumsqr(x_in) + ca.sumsqr(X_in) + ca.sumsqr(U_in)
     moving = ca.vertcat(change @ (a["since"] - a["period"]).T, ca.DM.zeros(4, nodes + 1))
     moving = ca.vertcat(moving, ca.repmat(change, 1, nodes + 1), ca.DM.zeros(width - VELOCITY.stop, nodes + 1))
-    results |= {"X_moved": ca.if_else(ca.norm_2(change) > MOVED, a["X"] - moving, a["X"]), "squares": squares}
+    results["X_moved"] = ca.if_else(ca.norm_2(change) > MOVED, a["X"] - moving, a["X"])
+    results["squares"] = squares
     results |= {NEXT + name: value for name, value in next_values.items()}
     return named_function("believed_world", a, results)
 
@@ -245,6 +283,8 @@ def _estimated(
     now, mean, next_values = delivered_thrust(kept, kept["sent"], a["delays"], *speeds)
     arguments = [kept["estimate"], a["x"], a["reading"], read, now, mean, a["theta"], a["settings"]]
     estimate, belief = update(*arguments)
-    nothing, flown = ca.DM([0.0] * (N_BELIEF - 2) + [1.0, 1.0]), ca.fmax(kept["flown"], read)
-    next_values |= {"estimate": ca.if_else(flown, estimate, kept["estimate"]), "flown": ca.DM.ones(1)}
+    nothing = ca.DM([0.0] * (N_BELIEF - 2) + [1.0, 1.0])
+    flown = ca.fmax(kept["flown"], read)
+    next_values["estimate"] = ca.if_else(flown, estimate, kept["estimate"])
+    next_values["flown"] = ca.DM.ones(1)
     return ca.if_else(flown, belief, nothing), next_values

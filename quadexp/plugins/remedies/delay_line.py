@@ -25,7 +25,8 @@ def kept_size(size: int, age: float, period: float) -> int:
 
 def delayed(values: Any, kept: Any, age: float, period: float) -> tuple[Any, Any]:
     """The values of `age` (s) ago, and the next value of what is kept, the oldest first; symbols."""
-    n, whole = values.numel(), int(age / period + 1e-9)
+    n = values.numel()
+    whole = int(age / period + 1e-9)
     kept = ca.vertcat(kept[n:], values)
     share = age / period - whole
     return share * kept[:n] + (1 - share) * kept[n : 2 * n], kept
@@ -39,7 +40,8 @@ class DelayLine:
 
     def __init__(self, size: int, age: float, period: float, backend: str) -> None:
         self._function = cached_function(backend, delay_line_function, size, age, period)
-        self.memory, self.output = Memory("DelayLine", sizes_of([self._function])), np.zeros(size)
+        self.memory = Memory("DelayLine", sizes_of([self._function]))
+        self.output = np.zeros(size)
         self.oldest = self.memory.of_next["kept"].reshape(-1, size)[0 if age else -1]
 
     def reset(self, values: np.ndarray) -> None:

@@ -32,7 +32,7 @@ from quadexp.errors import UsageError
 from quadexp.models.build_context import BuildContext
 from quadexp.parts.sensor_spec import later_speeds
 from quadexp.parts.settings import Backend, key, keyed
-from quadexp.physics.expression import Expression, symbols
+from quadexp.physics.expression import Expression, named_function, named_symbols
 from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.laws.dfbc import TILT_FIRST, WRENCH_WEIGHT, Wrench
@@ -47,20 +47,22 @@ def indi_function(vehicle: Vehicle, keys: INDI) -> ca.Function:
 
     Raises UsageError where the cut-off is not below half the rate, or rotor_inertia lacks what it needs.
     """
-    n, dt = vehicle.n_rotors, 1.0 / keys.rate
+    n = vehicle.n_rotors
+    dt = 1.0 / keys.rate
     if not keys.cutoff < keys.rate / 2:
         raise UsageError(f"rate_loop.cutoff={keys.cutoff:g}: must be below half of rate_loop.rate={keys.rate:g} Hz")
     b, a = _low_pass(keys)
-    wanted, rate, delivered, memory, before = symbols(
-        ca.MX, wanted=n, rate=3, delivered=n, memory=(3 + n, 2), before=3 + n
-    )
+    shapes = {"wanted": n, "rate": 3, "delivered": n, "memory": (3 + n, 2), "before": 3 + n}
+    inputs = named_symbols(ca.MX, shapes)
+    wanted, rate, delivered, memory, before = inputs.values()
 
     root = ca.sqrt(ca.fmax(delivered, 0))  # sqrt(c_t) W
     now = ca.vertcat(rate, root)
     filtered = b[0] * now + memory[:, 0]  # transposed direct form
     memory_next = ca.horzcat(b[1] * now - a[1] * filtered + memory[:, 1], b[2] * now - a[2] * filtered)
 
-    G, J = ca.DM(vehicle.allocation), ca.DM(vehicle.inertia_matrix)
+    G = ca.DM(vehicle.allocation)
+    J = ca.DM(vehicle.inertia_matrix)
     meant = G @ wanted
     torque = meant[1:] - ca.cross(rate, J @ rate)  # J alpha
     torque += G[1:, :] @ filtered[3:] ** 2 - J @ ((filtered[:3] - before[:3]) / dt)
@@ -70,8 +72,7 @@ def indi_function(vehicle: Vehicle, keys: INDI) -> ca.Function:
         wrench[3] += ca.dot(spin, filtered[3:] - before[3:]) / dt
         wrench = _without_spin_up(vehicle, spin / (keys.spin_up_time or dt), wrench, root, filtered[3:])
     thrust = allocation(vehicle, keys.allocation, keys.wrench_weight)(wrench)
-    names = ["wanted", "rate", "delivered", "memory", "before"], ["thrust", "memory_next", "filtered"]
-    return ca.Function("indi", [wanted, rate, delivered, memory, before], [thrust, memory_next, filtered], *names)
+    return named_function("indi", inputs, {"thrust": thrust, "memory_next": memory_next, "filtered": filtered})
 
 
 def settled_memory(keys: INDI, values: np.ndarray) -> np.ndarray:
@@ -97,7 +98,8 @@ def _without_spin_up(
 
     gain: torque per change of a root (n,). root: measured (n,).
     """
-    G, roots = ca.DM(vehicle.allocation), ca.fmax(start, 0.05 * np.sqrt(vehicle.hover_thrust))
+    G = ca.DM(vehicle.allocation)
+    roots = ca.fmax(start, 0.05 * np.sqrt(vehicle.hover_thrust))
     last = ca.DM([[0.0]] * 3 + [[1.0]])
     for _ in range(NEWTON_STEPS):
         residual = G @ roots**2 + last * ca.dot(gain, roots - root) - wrench
@@ -158,7 +160,8 @@ class INDI(LayerPart):
 
     def after(self, vehicle: Vehicle, inputs: Inputs, memory: Any, before: Any) -> dict[str, Any]:
         """The thrusts of `indi_function`."""
-        rate, results = inputs.state[RATE], {}
+        rate = inputs.state[RATE]
+        results = {}
         if late := inputs.about.late:
             rate, results["rates"] = delayed(rate, memory.rates, late, inputs.period)
         low_pass = ca.reshape(memory.low_pass, -1, 2)

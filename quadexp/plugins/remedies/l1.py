@@ -54,27 +54,31 @@ def added(vehicle: Vehicle, base: Expression, wrench: Expression) -> Expression:
 def _predictor(vehicle: Vehicle, keys: L1, period: float) -> ca.Function:
     """(x, x_last, mean thrusts, z~, s, y, air, air_last) -> z~, s, y; R^T s_F and s_tau; the filtered force across the
     thrust axis, world (3,). air: y of the model at x and x_last."""
-    m, J = vehicle.mass, ca.DM(vehicle.inertia_matrix)
+    m = vehicle.mass
+    J = ca.DM(vehicle.inertia_matrix)
     sizes = {"x": N_STATE, "x_last": N_STATE, "thrust": vehicle.n_rotors, "error": 6, "disturbance": 6, "filtered": 6}
     inputs = named_symbols(ca.SX, sizes | {"air": N_OUTPUTS, "air_last": N_OUTPUTS})
     x, x_last, thrust, error, disturbance, filtered, air, air_last = inputs.values()
     wrench = vehicle.allocation @ thrust
 
     def known(state: Expression, y: Expression) -> Expression:
-        R, w = rotation_matrix(state[ATTITUDE]), state[RATE]
+        R = rotation_matrix(state[ATTITUDE])
+        w = state[RATE]
         linear = R @ (along_z(wrench[0] / m) + y[:3]) + ca.DM([0, 0, -vehicle.gravity])
         return ca.vertcat(linear, ca.inv(J) @ (wrench[1:] + y[3:] - ca.cross(w, J @ w)))
 
     moved = ca.vertcat(x[VELOCITY] - x_last[VELOCITY], x[RATE] - x_last[RATE])
     poles = np.repeat([keys.velocity_pole, keys.rate_pole], 3)
     decay = np.exp(-poles * period)
-    reach, gain = (1 - decay) / poles, poles * decay / (1 - decay)
+    reach = (1 - decay) / poles
+    gain = poles * decay / (1 - decay)
     s_F, s_tau = ca.vertsplit(disturbance, 3)
     believed = ca.vertcat(s_F / m, ca.inv(J) @ s_tau)
     error = ca.DM(decay) * error + period / 2 * (known(x, air) + known(x_last, air_last))
     error += ca.DM(reach) * believed - moved
     estimate = -ca.DM(gain) * error
-    s_F, s_tau = m * estimate[:3], J @ estimate[3:]
+    s_F = m * estimate[:3]
+    s_tau = J @ estimate[3:]
     R = rotation_matrix(x[ATTITUDE])
     body = ca.vertcat(R.T @ s_F, s_tau)
     stays = math.exp(-keys.bandwidth * period)
@@ -128,7 +132,9 @@ class L1(LayerPart):
 
     def before(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """(1), (2) and the low pass of (3). body: R^T s_F and s_tau, (6,), before the low pass."""
-        x, thrust, features = inputs.state, inputs.mean, features_function(vehicle)
+        x = inputs.state
+        thrust = inputs.mean
+        features = features_function(vehicle)
         air = [ca.densify(inputs.model(features(state, thrust))) for state in (x, memory.last)]
         states = [memory.error, memory.disturbance, memory.filtered]
         *now, body, lateral = _predictor(vehicle, self, inputs.period)(x, memory.last, thrust, *states, *air)
@@ -164,7 +170,8 @@ class L1(LayerPart):
             raise UsageError(
                 "adaptive.unmatched=true: this controller cannot be given a force; adaptive.unmatched=false"
             )
-        lag, dead_time = self.motor_lag, self.dead_time
+        lag = self.motor_lag
+        dead_time = self.dead_time
         about = Circumstances(
             controller.control_period,
             known_delay(dead_time, controller, "dead_time"),

@@ -73,7 +73,8 @@ def from_zero(adapting: Adapting) -> Adapting:
 def regressors(adapting: Adapting, rotors: int) -> ca.Function:
     """(z, theta) -> y (6,) and, for each block, dy_i/da of its component, (1, h): the regressors of its weights."""
     z, theta = symbols(ca.MX, z=len(feature_names(rotors)), theta=len(adapting.residual.theta))
-    with_weights, weights = ca.MX(theta), [ca.MX.sym("a", len(block.at)) for block in adapting.blocks]
+    with_weights = ca.MX(theta)
+    weights = [ca.MX.sym("a", len(block.at)) for block in adapting.blocks]
     for block, a in zip(adapting.blocks, weights, strict=True):
         with_weights[block.at.tolist()] = a
     function = adapting.residual.function
@@ -97,9 +98,13 @@ class Law:
 
 
 def update_function(
-    vehicle: Vehicle, adapting: Adapting, known: Residual | None = None, law: Law | None = None, *,
+    vehicle: Vehicle,
+    adapting: Adapting,
+    known: Residual | None = None,
+    law: Law | None = None,
+    *,
     compiled: bool = False,
-) -> ca.Function:  # fmt: skip
+) -> ca.Function:
     """One update, for all components. compiled: the form to compile, which cannot be interpreted.
 
     known: residual that is summed with the adapting one and does not adapt.
@@ -111,8 +116,11 @@ def update_function(
     law = law or Law()
     n = vehicle.n_rotors
     shapes = {"x": N_STATE, "f": 3, "u": n, "path": 6, "belief": len(prior_belief(adapting))}
-    shapes |= {"known_theta": 0 if known is None else len(known.theta)}
-    shapes |= {"variance": 1, "decay": 1, "tracking": 1, "tracking_rate": 1}
+    shapes["known_theta"] = 0 if known is None else len(known.theta)
+    shapes["variance"] = 1
+    shapes["decay"] = 1
+    shapes["tracking"] = 1
+    shapes["tracking_rate"] = 1
     inputs = named_symbols(ca.MX, shapes)
     x, f, u, path, belief, known_theta, variance, decay, tracking, rate = inputs.values()
 
@@ -125,7 +133,9 @@ def update_function(
     sigma = rotation_matrix(x[ATTITUDE]).T @ (x[VELOCITY] - path[3:] + rate * (x[POSITION] - path[:3]))
 
     beliefs = split(belief, (block.size for block in adapting.blocks))
-    theta, innovation, updated = ca.MX(prior), [ca.MX(0)] * 3, []
+    theta = ca.MX(prior)
+    innovation = [ca.MX(0)] * 3
+    updated = []
     for block, row, before in zip(adapting.blocks, rows, beliefs, strict=True):
         arguments = before, row.T, sample[block.axis], variance, decay, tracking * sigma[block.axis]
         after, weights, innovation[block.axis] = (_compiled_block if compiled else _block)(block, law, *arguments)
@@ -136,19 +146,29 @@ def update_function(
 
 
 def _block(
-    block: Block, law: Law, belief: Expression, row: Expression, sample: Expression, noise: Expression,
-    decay: Expression, push: Expression,
-) -> tuple[Expression, Expression, Expression]:  # fmt: skip
+    block: Block,
+    law: Law,
+    belief: Expression,
+    row: Expression,
+    sample: Expression,
+    noise: Expression,
+    decay: Expression,
+    push: Expression,
+) -> tuple[Expression, Expression, Expression]:
     """The update of one component: its new belief, its weights and its innovation.
 
     row: regressors of the weights. noise: r. push: dt c sigma. Only one triangle of P is used, so it is symmetric.
     """
-    h, root = len(block.at), ca.DM(block.root)
-    b, P, phi = belief[:h], ca.reshape(belief[h:], h, h), root.T @ row
+    h = len(block.at)
+    root = ca.DM(block.root)
+    b = belief[:h]
+    P = ca.reshape(belief[h:], h, h)
+    phi = root.T @ row
     if law.name == "rls":
         P = P * ca.fmin(1 / decay, ca.fmax(1, h / ca.trace(P)))
     else:
-        b, P = decay * b, decay**2 * P + (1 - decay**2) * ca.DM.eye(h)
+        b = decay * b
+        P = decay**2 * P + (1 - decay**2) * ca.DM.eye(h)
     if law.fitc:
         noise += ca.fmax(block.signal_variance - ca.dot(phi, phi), 0)
     error = sample - ca.dot(phi, b)
@@ -165,13 +185,16 @@ def _block(
 
 def _compiled_block(block: Block, law: Law, *arguments: Expression) -> tuple[Expression, ...]:
     """As _block, by adapt_block.c."""
-    h, dense = len(block.at), ca.Sparsity.dense
+    h = len(block.at)
+    dense = ca.Sparsity.dense
     chosen = {"RLS": law.name == "rls", "FITC": law.fitc, "COMPOSITE": law.name == "composite"}
     name = "_".join(["adapt", str(h), *(word.lower() for word, on in chosen.items() if on)])
     sizes = {"SIZE": h} | {word: int(on) for word, on in chosen.items()}
     shapes = {"belief": block.size, "row": h, "sample": 1, "variance": 1, "decay": 1, "push": 1}
     inputs = {word: dense(size) for word, size in shapes.items()}
-    inputs |= {"root": dense(h, h), "mean": dense(h), "signal": dense(1)}
+    inputs["root"] = dense(h, h)
+    inputs["mean"] = dense(h)
+    inputs["signal"] = dense(1)
     results = {"next": dense(block.size), "weights": dense(h), "innovation": dense(1)}
     kernel = handwritten(name, BLOCK, sizes, inputs, results)
     return tuple(kernel(*arguments, ca.DM(block.root), ca.DM(block.mean), block.signal_variance))

@@ -49,7 +49,6 @@ class AdaptKeys(Settings):
     deviation: float = key(
         0.8, "prior standard deviation of the acceleration that the weights can add, roughly", "(0, 100]", "m/s^2"
     )
-    fit_prior: bool = key(False, "of a Gaussian process: take the signal variance of its fit in place of deviation")
     start: Literal["model", "zero"] = key(
         "model", "first weights, to which they return without data: those of the checkpoint, or zero"
     )
@@ -96,20 +95,27 @@ class AdaptingController(PredictiveController):
     ) -> None:
         model = sum_residual([*known, adapting.residual])
         super().__init__(ModelPredictiveController(vehicle, model, settings, backend=backend))
-        self.adapting, self.adapt, self.reference_period = adapting, adapt, reference_period
+        self.adapting = adapting
+        self.adapt = adapt
+        self.reference_period = reference_period
         fixed = sum_residual(known) if known else None
         function = update_function(
             vehicle, adapting, fixed, Law(adapt.law, adapt.fitc), compiled=self.backend == "compiled"
         )
         self._update = BufferedFunction(realise(function, self.backend))
-        arguments, results = self._update.arguments, self._update.results
+        arguments = self._update.arguments
+        results = self._update.results
         period = self.control_period * adapt.every
         arguments["variance"][...], arguments["decay"][...] = adapt.noise**2, math.exp(-period / adapt.memory)
-        arguments["tracking"][...], arguments["tracking_rate"][...] = period * adapt.tracking, adapt.tracking_rate
+        arguments["tracking"][...] = period * adapt.tracking
+        arguments["tracking_rate"][...] = adapt.tracking_rate
         if fixed is not None:
             arguments["known_theta"][...] = fixed.theta
-        self._belief, self._new_belief = arguments["belief"], results["new_belief"]
-        self._given, self.theta, self.innovation = arguments, results["theta"], results["innovation"]
+        self._belief = arguments["belief"]
+        self._new_belief = results["new_belief"]
+        self._given = arguments
+        self.theta = results["theta"]
+        self.innovation = results["innovation"]
         self._all = model.theta.copy()
         self._weights = self._all[len(model.theta) - len(adapting.residual.theta) :]
         self._delivered = DeliveredThrust(vehicle, self.control_period, settings.dead_time, settings.known_lag)
@@ -121,12 +127,17 @@ class AdaptingController(PredictiveController):
         """The model with the newest weights; the same object while these are the same."""
         if not np.array_equal(self._known.theta, self._all):
             self._known = replace(self._known, theta=self._all.copy())
-        return self._known if self.settings.feedforward else None
+        if self.settings.feedforward:
+            return self._known
+        return None
 
     def forget(self) -> None:
         """See Controller.forget: back to the prior."""
         self._belief[...] = prior_belief(self.adapting)
-        self.theta[...], self.innovation[...], self.samples, self._wait = self.adapting.residual.theta, 0.0, 0, 0
+        self.theta[...] = self.adapting.residual.theta
+        self.innovation[...] = 0.0
+        self.samples = 0
+        self._wait = 0
         self._take()
 
     def reset(self, x: np.ndarray, window: Window) -> None:
@@ -140,7 +151,9 @@ class AdaptingController(PredictiveController):
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step; without an accelerometer reading the weights stay."""
-        step, arguments, delivered = super().control_step(inputs, state), self._given, self._delivered
+        step = super().control_step(inputs, state)
+        arguments = self._given
+        delivered = self._delivered
         path = arguments["path"]
         places = {"x": state, "f": inputs.specific_force, "u": delivered.thrust}
         learning = [*delivered.before(inputs), *(copy(arguments[name], place) for name, place in places.items())]
@@ -200,14 +213,11 @@ class OnlineMPC(PredictivePart):
         from quadexp.plugins.remedies.online import from_zero
 
         *others, last = self.residual
-        for name in ("fit_prior", "fitc"):
-            if getattr(self.adapt, name) and last != "gaussian_process":
-                has = "fitted signal variance" if name == "fit_prior" else "inducing points"
-                raise UsageError(f"controller.adapt.{name}: {last} has no {has}, a Gaussian process has")
+        if self.adapt.fitc and last != "gaussian_process":
+            raise UsageError(f"controller.adapt.fitc: {last} has no inducing points, a Gaussian process has")
         if last != "terms":
-            residual, checkpoint = context.residuals(self.residual)[-1], context.checkpoint(-1)
-            deviation = None if self.adapt.fit_prior else self.adapt.deviation
-            adapting = checkpoint.adapting(context.vehicle, residual, deviation)
+            residual = context.residuals(self.residual)[-1]
+            adapting = context.checkpoint(-1).adapting(context.vehicle, residual, self.adapt.deviation)
         else:
             adapting = adapting_terms(context.vehicle, self.adapt.deviation)
         if self.adapt.start == "zero":

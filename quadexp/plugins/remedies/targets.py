@@ -50,12 +50,14 @@ def held_targets(
     (3,), body (N m), of the last step. times: of the nodes (s). model: of the air, with which the reference was made;
     None: made without, and there is none. disturbance: (6,), see physics.rigid_body. wind: (3,) (m/s).
     """
-    allocate, inertia = ca.DM(np.linalg.pinv(vehicle.allocation)), ca.DM(vehicle.inertia_matrix)
+    allocate = ca.DM(np.linalg.pinv(vehicle.allocation))
+    inertia = ca.DM(vehicle.inertia_matrix)
     force, *torque = np.abs(vehicle.allocation).sum(1) * vehicle.thrust_max
     most = ca.DM([force / vehicle.mass] * 3 + torque)
 
     def turned(x: Expression, u: Expression, air: Expression, disturbance: Expression) -> list[Expression]:
-        axis, thrust = rotation_matrix(x[ATTITUDE])[:, 2], ca.sum1(u)
+        axis = rotation_matrix(x[ATTITUDE])[:, 2]
+        thrust = ca.sum1(u)
         force = axis * (thrust / vehicle.mass) - disturbance[:3] - air[:3]
         size = ca.sqrt(ca.sumsqr(force) + SMALL**2)
         sure = ca.fmin(1, size / (LEAST * vehicle.gravity))
@@ -80,18 +82,22 @@ def held_targets(
     if model is not None:
         exact = {}
         for k in sorted({*range(0, last, 2), last}):
-            x, u = states[k], inputs[k]
+            x = states[k]
+            u = inputs[k]
             q, _, change = as_scalars(turned)(x, u, air[k], disturbance)
             still, blown = as_scalars(features)(x, q, u + change, wind)
-            y0, y1 = (ca.densify(model(z, theta)[0]) for z in (ca.vertcat(still, u), blown))
+            y0 = ca.densify(model(ca.vertcat(still, u), theta)[0])
+            y1 = ca.densify(model(blown, theta)[0])
             exact[k] = as_scalars(difference)(x, q, y0, y1, air_scale)
         air = []
         for k in range(last + 1):
-            before, after = max(i for i in exact if i <= k), min(i for i in exact if i >= k)
+            before = max(i for i in exact if i <= k)
+            after = min(i for i in exact if i >= k)
             share = 0 if k in exact else (times[k] - times[before]) / (times[after] - times[before])
             air.append(exact[before] + share * (exact[after] - exact[before]))
     results = [as_scalars(turned)(x, u, d, disturbance) for x, u, d in zip(states, inputs, air, strict=True)]
-    moved, limit = [], TURNING * vehicle.rate_max
+    moved = []
+    limit = TURNING * vehicle.rate_max
     for x, (q, _, _), slope in zip(states, results, _slopes([turn for _, turn, _ in results], times), strict=True):
         turning = rotation_matrix(q).T @ slope
         moved.append(ca.vertcat(q, x[RATE] + limited(turning, -limit, limit)))
@@ -101,9 +107,10 @@ def held_targets(
 def _slopes(values: list[Expression], times: list[Expression]) -> list[Expression]:
     """Derivatives at uneven times: of the parabola through three neighbours, at the ends of the line through two."""
     d = [(b - a) for a, b in zip(times, times[1:], strict=False)]
-    secants = [(b - a) / h for a, b, h in zip(values, values[1:], d, strict=False)]
-    inside = [
-        (before * after_h + after * before_h) / (before_h + after_h)
-        for before, after, before_h, after_h in zip(secants, secants[1:], d, d[1:], strict=False)
-    ]
+    secants = []
+    for a, b, h in zip(values, values[1:], d, strict=False):
+        secants.append((b - a) / h)
+    inside = []
+    for before, after, before_h, after_h in zip(secants, secants[1:], d, d[1:], strict=False):
+        inside.append((before * after_h + after * before_h) / (before_h + after_h))
     return [secants[0], *inside, secants[-1]]

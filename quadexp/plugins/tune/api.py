@@ -42,16 +42,22 @@ class Tuning(Frame):
     @property
     def folder(self) -> Path | None:
         """The configuration folder with the options: qx.simulate(*tuned.choice.split(), conf=tuned.folder)."""
-        return None if self._folder is None else Path(self._folder)
+        if self._folder is None:
+            return None
+        return Path(self._folder)
 
     def summary(self) -> list[str]:
         return list(self.attrs.get("lines", ())) or [f"tuning: {len(self)} trials"]
 
 
 def tune(
-    *settings: OverrideLike, out: Place | None = None, conf: Folders = None, force: bool = False,
-    progress: bool = False, **keywords: Any,
-) -> Tuning:  # fmt: skip
+    *settings: OverrideLike,
+    out: Place | None = None,
+    conf: Folders = None,
+    force: bool = False,
+    progress: bool = False,
+    **keywords: Any,
+) -> Tuning:
     """Choose settings of a controller by flights, as `quadexp tune`.
 
     settings, keywords: the cells of a trial, lists as in `sweep`; keywords that are keys of
@@ -63,11 +69,14 @@ def tune(
     from quadexp.plugins.tune.call import HISTORY
     from quadexp.plugins.tune.call import tune as tuned_by
 
-    folder, asked = Scratch() if out is None else Path(out), request_of(Tune, keywords)
+    folder = Scratch() if out is None else Path(out)
+    asked = request_of(Tune, keywords)
     place: dict[str, Any] = {"out": Path(folder), "conf": conf, "force": force, "figure": out is not None}
     with progress_of("flights", progress) as shown:
         tuned = tuned_by(overrides(settings, keywords, lists=True), asked, **place, progress=shown)
     table = Tuning.of(*read_table(Path(folder) / HISTORY, "tuning"), folder)
-    table.attrs |= {"best": tuned.best, "choice": tuned.choice, "lines": list(tuned.lines)}
+    table.attrs["best"] = tuned.best
+    table.attrs["choice"] = tuned.choice
+    table.attrs["lines"] = list(tuned.lines)
     table.attrs["settings"] = dict(tuned.record["settings"])
     return table

@@ -110,7 +110,8 @@ def tune(
         choice, option = write_preset(out, composer, options, tuned, about, asked.name)
     if figure:
         _draw(trials, request, each, out / "history")
-    before, after = (settings_of(axes, trial.numbers) for trial in (trials[0], trials[best]))
+    before = settings_of(axes, trials[0].numbers)
+    after = settings_of(axes, trials[best].numbers)
     settings = {key: (before[key], after[key]) for key in before}
     record = {"out": out, **about, "choice": choice, "option": option, "settings": settings, "history": history}
     width = max(map(len, settings))
@@ -154,17 +155,22 @@ def _draw(trials: Sequence[Trial], request: Request, flights: int, path: Path) -
 
 
 def _short(value: Any) -> str:
-    return f"[{', '.join(f'{x:.4g}' for x in value)}]" if isinstance(value, list) else f"{value:.4g}"
+    if isinstance(value, list):
+        return f"[{', '.join(f'{x:.4g}' for x in value)}]"
+    return f"{value:.4g}"
 
 
 def _lines(search: Search, trials: Sequence[Trial], best: int) -> list[str]:
-    spent, (factor, unit) = len(trials) * search.flights, shown(search.request.metric)
+    spent = len(trials) * search.flights
+    (factor, unit) = shown(search.request.metric)
     lines = [f"{controller_name(search.config)}: {len(trials)} trials of {search.flights} flights, {spent} in all"]
     for what, worth in (("before", trials[0].worth), ("tuned ", trials[best].worth)):
         margin = f", delay margin {1e3 * worth.margin:.0f} ms" if np.isfinite(worth.margin) else ""
         error = f"{number(factor * worth.error)} {unit}"
         lines.append(f"  {what}  {error}, {worth.lost} of {search.flights} flights lost{margin}")
-    return lines if best else [*lines, "  nothing better was found: the settings stay as they were"]
+    if best:
+        return lines
+    return [*lines, "  nothing better was found: the settings stay as they were"]
 
 
 def _write_history(out: Path, request: Request, search: Search, trials: Sequence[Trial]) -> Path:
@@ -188,7 +194,8 @@ def fingerprint(trials: Sequence[Sequence[float]]) -> str:
 
 def _about(request: Request, search: Search, trials: Sequence[Trial], best: int) -> dict[str, Any]:
     """The provenance of an option. Nothing in it depends on time or machine."""
-    first, last = trials[0].worth, trials[best].worth
+    first = trials[0].worth
+    last = trials[best].worth
     return {
         "cells": [text for text in request.given if not text.startswith(("engine", "evaluate."))],
         "space": [axis.text() for axis in request.axes],

@@ -38,6 +38,8 @@ def tune(
     with Progress("flights") as progress:
         tuned = tuned_by(overrides, asked, out=out, conf=conf, force=force, progress=progress)
     folders = [Path(folder).absolute() for folder in (tuned.record["out"], *conf)]
-    words = [word for folder in folders for word in ("--conf", str(folder))]
+    words = []
+    for folder in folders:
+        words += ["--conf", str(folder)]
     fly = f"fly it: {shlex.join(['quadexp', 'simulate', *words, *tuned.flown])}"
     return Answer(tuned.record, tuned.rows, [*tuned.lines, fly])

@@ -14,8 +14,10 @@ any error of another one; of two losses the later is better, so that a search ca
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from quadexp.report.pairing import Rows
 
 LOST = 20.0  # ln(5e8)
 LEAST = 1e-9  # m, of an error, whose logarithm must exist
@@ -32,7 +34,7 @@ class Worth(NamedTuple):
 
 
 def worth(
-    rows: Sequence[Mapping[str, Any]],
+    rows: Rows,
     durations: Sequence[float],
     *,
     metric: str = "mean_error",
@@ -40,7 +42,8 @@ def worth(
     least_margin: float = 0.0,
 ) -> Worth:
     """The worth of a trial. rows: of its flights. durations: of their paths (s). margins: delay margins (s) found."""
-    costs, logs = [], []
+    costs = []
+    logs = []
     for row, duration in zip(rows, durations, strict=True):
         value = float(row[metric])
         if row["outcome"] == "ok" and math.isfinite(value):

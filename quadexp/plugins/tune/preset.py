@@ -52,19 +52,22 @@ def write_preset(
 
     options: see options_of. config: with the settings that were found. about: the provenance. name: of the option.
     """
-    controller, name = options["controller"], name or default_name(options)
-    changed = {
-        group: _changed(record(getattr(composer.compose([f"{group}={option}"]), group)), record(getattr(config, group)))
-        for group, option in options.items()
-    }
+    controller = options["controller"]
+    name = name or default_name(options)
+    changed = {}
+    for group, option in options.items():
+        before = getattr(composer.compose([f"{group}={option}"]), group)
+        changed[group] = _changed(record(before), record(getattr(config, group)))
     origin = [HEAD, *(_INDENT + line for line in _yaml(about, flow=False).splitlines())]
     title = f"{printable(controller)}, tuned by `quadexp tune`; see docs/tuning.md. Written by that command."
     if len(options) == 1:
-        head, path = [f"# {title}", *origin], out / "controller" / f"{name}.yaml"
+        head = [f"# {title}", *origin]
+        path = out / "controller" / f"{name}.yaml"
         content = {"defaults": [controller, "_self_"], "name": name, **changed["controller"]}
         choice = f"controller={name}"
     else:
-        head, path = ["# @package _global_", f"# For controller={title}", *origin], out / "remedies" / f"{name}.yaml"
+        head = ["# @package _global_", f"# For controller={title}", *origin]
+        path = out / "remedies" / f"{name}.yaml"
         around = [{f"override /{group}": options.get(group, "none")} for group in REMEDIES]
         content = {
             "defaults": [*around, "_self_"],
@@ -121,7 +124,9 @@ def _yaml(content: Mapping[str, Any], flow: bool | None = None) -> str:
 def provenance_of(option: str, extra: Folders = None, group: str = "controller") -> dict[str, Any] | None:
     """Where the settings of an option come from; None where its file does not say."""
     for first in OptionFiles(extra).definitions.get(f"{group}/{option}", ())[:1]:
-        return first.entry.provenance if first.entry else read_provenance(first.path.read_text(encoding="utf-8"))
+        if first.entry:
+            return first.entry.provenance
+        return read_provenance(first.path.read_text(encoding="utf-8"))
     return None
 
 
@@ -141,4 +146,6 @@ def read_provenance(text: str) -> dict[str, Any] | None:
         provenance = yaml.safe_load("\n".join(kept))
     except yaml.YAMLError:
         return None
-    return provenance if isinstance(provenance, dict) else None
+    if isinstance(provenance, dict):
+        return provenance
+    return None

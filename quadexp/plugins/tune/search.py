@@ -11,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import json
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -85,7 +85,10 @@ def cells_of(composer: Composer, overrides: Sequence[str]) -> list[Cell]:
     """The cells of a trial; raises UsageError where they are of several controllers, or cannot be flown."""
     cells = composer.expand(overrides, check=False)
     for grid in cells.grids:
-        several = [texts[0].partition("=")[0] for texts in grid if len(texts) > 1]
+        several = []
+        for texts in grid:
+            if len(texts) > 1:
+                several.append(texts[0].partition("=")[0])
         if wrong := [key for key in several if key.partition(".")[0] in (*TUNED, *PRESETS, "remedies")]:
             raise UsageError(f"{wrong[0]}: has several values; one controller is tuned at a time")
     valid_cells = cells.all_valid_or_raise()
@@ -115,8 +118,12 @@ class Search:
         function: CellFunction = evaluate_cell,
         isolate: bool = True,
     ) -> None:
-        self.request, self.store = request, CellStore(out)
-        self._composer, self._engine, self._function, self._isolate = composer, engine, function, isolate
+        self.request = request
+        self.store = CellStore(out)
+        self._composer = composer
+        self._engine = engine
+        self._function = function
+        self._isolate = isolate
         jobs = plan_cells(cells_of(composer, request.given))
         self._cells = [job.cell for job in jobs.values()]
         configs = [cell.config for cell in self._cells]
@@ -194,7 +201,8 @@ class Search:
 
     def _fly(self, numbers: Sequence[float], first: bool) -> Worth:
         """The worth of one trial; settings that contradict each other count as flights that were lost at the start."""
-        request, least = self.request, self.request.least_margin
+        request = self.request
+        least = self.request.least_margin
         texts = [*request.given, *overrides(request.axes, numbers)]
         cells = self._composer.expand(texts, check=False)
         try:
@@ -207,17 +215,14 @@ class Search:
             return Worth(2 * LOST * (2 if least else 1), np.nan, self.flights, np.nan)
         if first and (broken := [row for row in rows if row["outcome"] in ("failed", "infeasible")]):
             raise QuadexpError(f"{request.given[0]} cannot be flown as it is: {broken[0]['cause']}")
-        margins = [self._margin(row) for row in rows] if least else []
-        if first and least and not np.isfinite(margins).any():
+        known = []
+        for row in rows:
+            if least and row["outcome"] != "failed":
+                margins = read_record(self.store.path(row["key"]), "flight").get("margins") or {}
+                known += [float(margins["delay"])] if "delay" in margins else []
+        if first and least and not known:
             raise UsageError(f"--delay-margin: none is known of {self.config.controller.name}")
-        known = [margin for margin in margins if np.isfinite(margin)]
         return worth(rows, self._durations, metric=request.metric, margins=known, least_margin=least)
-
-    def _margin(self, row: Mapping[str, Any]) -> float:
-        if row["outcome"] == "failed":
-            return np.nan
-        margins = read_record(self.store.path(row["key"]), "flight").get("margins") or {}
-        return float(margins.get("delay", np.nan))
 
 
 def best_of(trials: Sequence[Trial]) -> int:

@@ -9,7 +9,6 @@ controller.position_weight                  without a range: a tenth to ten time
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,7 +21,6 @@ from quadexp.parts.settings import Settings, declared, record
 TUNED = ("controller", *REMEDIES)  # groups whose settings can be varied
 AROUND = 10.0  # factor on the present value, up and down, of a range that is not given
 DIGITS = 4  # significant ones of a value that is tried, so that a preset can be read
-_RANGE = re.compile(r"([-+.\deE]+)\.\.([-+.\deE]+)(:log)?")
 _ENTRIES = {"x": (0,), "y": (1,), "z": (2,), "xy": (0, 1)}
 
 
@@ -73,7 +71,9 @@ def overrides(axes: Sequence[Axis], numbers: Sequence[float]) -> list[str]:
 
 
 def _text(value: Any) -> str:
-    return f"[{','.join(map(repr, value))}]" if isinstance(value, list) else repr(value)
+    if isinstance(value, list):
+        return f"[{','.join(map(repr, value))}]"
+    return repr(value)
 
 
 def read_axes(texts: Sequence[str], config: Config) -> list[Axis]:
@@ -96,8 +96,11 @@ def default_space(config: Config) -> list[str]:
     up and down is taken. Raises UsageError where the controller has none."""
     space: list[str] = []
     for group, node in {"controller": config.controller, **remedies(config)}.items():
-        rules = [f"{group}.{key}{rule if rule.startswith('.') else f'={rule}'}"
-                 for key, field in declared(type(node)).items() for rule in field.setting.tuned.split()]  # fmt: skip
+        rules = [
+            f"{group}.{key}{rule if rule.startswith('.') else f'={rule}'}"
+            for key, field in declared(type(node)).items()
+            for rule in field.setting.tuned.split()
+        ]
         if not rules and group == "controller":
             raise UsageError(f"{node.name}: its keys say no ranges to tune it in: give --vary KEY=LOW..HIGH")
         for text in rules:
@@ -137,13 +140,17 @@ def _varied(name: str, config: Config) -> tuple[Axis, Any]:
     Raises UsageError where the name is of no number, nor of a list of them without zeros.
     """
     group, *parts = name.split(".")
-    key, letters, owner = name, "", getattr(config, group)
+    key = name
+    letters = ""
+    owner = getattr(config, group)
     value: Any = record(owner)
     for i, part in enumerate(parts):
         if isinstance(value, list) and i == len(parts) - 1 and part in _ENTRIES:
-            key, letters = name.rpartition(".")[0], part
+            key = name.rpartition(".")[0]
+            letters = part
         elif isinstance(value, dict) and part in value:
-            owner, value = owner if i == 0 else getattr(owner, parts[i - 1], None), value[part]
+            owner = owner if i == 0 else getattr(owner, parts[i - 1], None)
+            value = value[part]
         else:
             near = value if isinstance(value, dict) else ()
             hint = suggestion(name, [f"{'.'.join([group, *parts[:i]])}.{known}" for known in near])
@@ -172,14 +179,15 @@ def _limits(name: str, rule: str, start: float) -> tuple[float, float, bool]:
         if isinstance(start, int):
             return max(1, round(start / 2)), 2 * start, False
         return start / AROUND, AROUND * start, True
-    match = _RANGE.fullmatch(rule.replace(" ", ""))
+    log = rule.endswith(":log")
+    low_text, _, high_text = rule.removesuffix(":log").partition("..")
     try:
-        low, high = (float(text) for text in match.groups()[:2]) if match else (math.nan, math.nan)
+        low = float(low_text)
+        high = float(high_text)
     except ValueError:
-        match = None
-    if match is None:
+        low = high = math.nan
+    if not math.isfinite(high - low):
         raise UsageError(f"--vary {name}={rule}: expected LOW..HIGH or LOW..HIGH:log, such as 1..1000:log")
-    log = match[3] is not None
     if log and not low > 0:
         raise UsageError(f"--vary {name}={rule}: a logarithmic range begins above 0")
     return low, high, log

@@ -42,11 +42,23 @@ from quadexp.world.actuator import first_rotor_column, rotor_column, rotor_colum
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
 
 CHARGE, RC_VOLTAGE, VOLTAGE, CURRENT = range(4)
-STATES, TANGENT = 4, 2  # logged states, and those of the line of the thrust limit
+STATES = 4  # that are logged
+TANGENT = 2  # states of the line of the thrust limit
 PARAMETERS = (
-    "cells", "capacity", "resistance", "rc_resistance", "rc_decay", "rc_share", "per_reference", "power_of_a_newton",
-    "electronics", "thrust_max", "power_max", "cutoff", "rotor_column_factor",
-)  # fmt: skip
+    "cells",
+    "capacity",
+    "resistance",
+    "rc_resistance",
+    "rc_decay",
+    "rc_share",
+    "per_reference",
+    "power_of_a_newton",
+    "electronics",
+    "thrust_max",
+    "power_max",
+    "cutoff",
+    "rotor_column_factor",
+)
 
 
 @keyed
@@ -88,7 +100,8 @@ class Battery(Effect):
                 f"battery: {source:.1f} V over {self.resistance:g} Ohm give {source**2 / 4 / self.resistance:.0f} W at"
                 f" most, hovering takes {needed:.0f} W"
             )
-        step, rotor = start.clock.step, (vehicle.hover_thrust, power / vehicle.n_rotors)
+        step = start.clock.step
+        rotor = (vehicle.hover_thrust, power / vehicle.n_rotors)
 
         def voltage_at(power: float) -> float:
             return (source + math.sqrt(max(source**2 - 4 * self.resistance * power, 0.0))) / 2
@@ -96,15 +109,20 @@ class Battery(Effect):
         drawn = float(ca.sum1(rotor_power(ca.DM(start.thrust), *rotor))) + self.electronics
         voltage = voltage_at(drawn)
         values = {
-            "cells": self.cells, "capacity": self.capacity, "resistance": self.resistance,
-            "rc_resistance": self.rc_resistance, "rc_decay": math.exp(-step / self.rc_time_constant),
+            "cells": self.cells,
+            "capacity": self.capacity,
+            "resistance": self.resistance,
+            "rc_resistance": self.rc_resistance,
+            "rc_decay": math.exp(-step / self.rc_time_constant),
             "rc_share": float(mean_share(self.rc_time_constant, step)),
             "per_reference": 1 / (self.reference_voltage or voltage_at(needed)),
             "power_of_a_newton": float(rotor_power(1.0, *rotor)),
-            "electronics": self.electronics, "thrust_max": vehicle.thrust_max,
+            "electronics": self.electronics,
+            "thrust_max": vehicle.thrust_max,
             "power_max": float(rotor_power(vehicle.thrust_max, *rotor)),
-            "cutoff": self.cutoff_voltage * self.cells, "rotor_column_factor": rotor_column_factor(vehicle),
-        }  # fmt: skip
+            "cutoff": self.cutoff_voltage * self.cells,
+            "rotor_column_factor": rotor_column_factor(vehicle),
+        }
         logged = first_rotor_column(vehicle, start.thrust)
         inner = [self.state_of_charge, 0.0, voltage, drawn / voltage, *logged, 0.0, 0.0]
         return inner, [values[name] for name in PARAMETERS]
@@ -122,7 +140,8 @@ class Battery(Effect):
         return self._point(at).thrust
 
     def advance(self, at: Moment) -> Expression:
-        p, point = self._named(at), self._point(at)
+        p = self._named(at)
+        point = self._point(at)
         charge = charge_after(at.inner[CHARGE], point.current, p["capacity"], at.step)
         pair = decayed(at.inner[RC_VOLTAGE], p["rc_resistance"] * point.current, p["rc_decay"])
         return ca.vertcat(charge, pair, point.voltage, point.current, point.thrust, at.inner[-TANGENT:])
@@ -137,7 +156,9 @@ class Battery(Effect):
         return ca.fmax(inner[CHARGE] <= 0, inner[VOLTAGE] < cutoff)
 
     def reason(self, inner: np.ndarray, parameters: np.ndarray) -> str:
-        charge, voltage, current = (float(inner[i]) for i in (CHARGE, VOLTAGE, CURRENT))
+        charge = float(inner[CHARGE])
+        voltage = float(inner[VOLTAGE])
+        current = float(inner[CURRENT])
         if charge <= 0:
             return f"the battery is empty (battery.capacity={self.capacity:g} Ah, {voltage:.1f} V left)"
         if voltage < parameters[PARAMETERS.index("cutoff")]:
@@ -169,7 +190,8 @@ class Battery(Effect):
                 power = sagging_power(commanded, ratio, self.thrust_exponent)
             return power + p["electronics"]
 
-        first, slope = at.inner[-2], at.inner[-1]
+        first = at.inner[-2]
+        slope = at.inner[-1]
         source = first + slope * at.inner[CHARGE] - p["rc_share"] * at.inner[RC_VOLTAGE]
         falls = -slope * charge_after(0, 1, p["capacity"], at.step / 2)  # E to the middle of the step, a ampere
         resistance = p["resistance"] + (1 - p["rc_share"]) * p["rc_resistance"] + falls

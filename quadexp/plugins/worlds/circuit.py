@@ -98,9 +98,12 @@ def _power(ratio: Expression, exponent: Exponent) -> Expression:
 
 
 def operating_point(
-    source: Expression, resistance: Expression, guess: Expression, thrust_at: Callable[[Expression], Expression],
+    source: Expression,
+    resistance: Expression,
+    guess: Expression,
+    thrust_at: Callable[[Expression], Expression],
     power_at: Callable[[Expression], Expression],
-) -> OperatingPoint:  # fmt: skip
+) -> OperatingPoint:
     """Where source and load agree, V = source - resistance P(V) / V.
 
     source: E - V_1 (V). resistance: R_0 (Ohm). guess: V, of the step before. thrust_at: voltage -> thrusts (n,) (N).
@@ -112,7 +115,8 @@ def operating_point(
     symbol = type(guess).sym("V")
     gap = symbol - source + resistance * power_at(symbol) * (1 / symbol)
     slope = ca.jacobian(gap, symbol)
-    bend, slope = ca.jacobian(slope, symbol), ca.fmax(slope, LEAST_SLOPE)
+    bend = ca.jacobian(slope, symbol)
+    slope = ca.fmax(slope, LEAST_SLOPE)
     change = gap * slope / ca.fmax(slope**2 - gap * bend / 2, slope**2 / 2)  # at most twice Newton's
     voltage = ca.fmax(ca.substitute(symbol - change, symbol, guess), 1e-3)
     current = power_at(voltage) / voltage

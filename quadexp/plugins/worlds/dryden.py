@@ -49,11 +49,13 @@ from quadexp.world.effect import Clock, Moment, Sizes, Start
 from quadexp.world.streams import NEVER, TICK, Ticking
 
 FOOT = 0.3048  # m
-N_FILTER, N_NOISE = 5, 5  # states [along z_1; across z_1, z_2; vertical z_1, z_2], and numbers per step
+N_FILTER = 5  # states [along z_1; across z_1, z_2; vertical z_1, z_2]
+N_NOISE = 5  # numbers per step
 N_PARAMETERS = 20  # of the function below
 TRANSVERSE = (math.sqrt(1.5), (1 - math.sqrt(3)) / math.sqrt(2))  # of z_1 and z_2
 IN_TIME = 1e-9  # s, by which an integration step may begin before the wind that it takes
-SMALL, TERMS = 0.1, 10  # s up to which moments are summed as series, and terms that reach rounding there
+SMALL = 0.1  # s up to which moments are summed as series
+TERMS = 10  # that reach rounding there
 
 
 def scale_lengths(altitude: float) -> np.ndarray:
@@ -81,7 +83,9 @@ def stationary(noise: np.ndarray) -> np.ndarray:
     """Filter states (5,) drawn from their stationary distribution, by standard-normal numbers (5,)."""
     along, *transverse = noise
     half = math.sqrt(0.5)
-    pairs = [(z, z / 2 + half * half * n) for z, n in (transverse[:2], transverse[2:])]
+    pairs = []
+    for z, n in (transverse[:2], transverse[2:]):
+        pairs.append((z, z / 2 + half * half * n))
     return np.array([along, *pairs[0], *pairs[1]])
 
 
@@ -91,7 +95,8 @@ def transition(time_scale: Expression, step: Expression) -> tuple[Expression, Ex
     Their states (5,) are then F filters + root noise, of noise (5,) standard normal.
     """
     s = [step / time_scale[i] for i in range(3)]
-    F, roots = [ca.exp(-s[0])], [ca.sqrt(-ca.expm1(-2 * s[0]))]
+    F = [ca.exp(-s[0])]
+    roots = [ca.sqrt(-ca.expm1(-2 * s[0]))]
     for each in s[1:]:
         decay = ca.exp(-each)
         root_11, root_21, root_22 = _root(each)
@@ -153,7 +158,9 @@ class Dryden(MeanWind):
         return Sizes(N_FILTER + 3 + 4 * ticks.slots, N_PARAMETERS, (ticks,))
 
     def _lengths(self) -> np.ndarray:
-        return scale_lengths(self.altitude) if self.length is None else np.array(self.length)
+        if self.length is None:
+            return scale_lengths(self.altitude)
+        return np.array(self.length)
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         """The filters begin in their stationary distribution."""
@@ -169,14 +176,19 @@ class Dryden(MeanWind):
 
     def begin(self, at: Moment) -> Expression:
         """The winds of the period."""
-        mean, length, limits = at.parameters[:3], at.parameters[15:18], at.parameters[18:20]
+        mean = at.parameters[:3]
+        length = at.parameters[15:18]
+        limits = at.parameters[18:20]
         airspeed = limited(ca.sqrt(ca.sumsqr(at.x[VELOCITY] - mean)), limits[0], limits[1])
         F, root = transition(length / airspeed, TICK)
         filters = at.inner[:N_FILTER]
-        before, winds, times = filters, [_velocity(filters, at.parameters)], []
+        before = filters
+        winds = [_velocity(filters, at.parameters)]
+        times = []
         for slot in ca.vertsplit(at.draws, 1 + N_NOISE):
             time, noise = split(slot, (1, N_NOISE))
-            before, filters = filters, F @ filters + root @ noise
+            before = filters
+            filters = F @ filters + root @ noise
             winds.append(_velocity(filters, at.parameters))
             times.append(time)
         filters = ca.if_else(times[-1] < NEVER, filters, before)  # a period may have one tick less than there are slots
@@ -198,7 +210,9 @@ def _blown() -> ca.Function:
 
 def _velocity(filters: Expression, parameters: Expression) -> Expression:
     """The wind (3,), world (m/s), of the filters (5,) and the parameters of Dryden."""
-    mean, directions, intensity = parameters[:3], parameters[3:12], parameters[12:15]
+    mean = parameters[:3]
+    directions = parameters[3:12]
+    intensity = parameters[12:15]
     return mean + ca.reshape(directions, 3, 3) @ turbulence(filters, intensity)
 
 

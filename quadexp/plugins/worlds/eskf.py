@@ -53,9 +53,11 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.worlds.inertial import FORCE, N_BIAS, N_DENSITIES, N_READING, TURN, Aid, InertialSensors
 from quadexp.world.effect import Clock, Effect, Measured, Readings, Sizes, Start
 
-N_NOMINAL, N_ERROR = 16, 15  # position, velocity, attitude (4 and 3 numbers), two biases of 3
+N_NOMINAL = 16  # position, velocity, attitude (4 numbers), two biases of 3
+N_ERROR = 15  # the same with 3 numbers of the attitude
 # Of the nominal state; the others as in physics/state.
-ACCELEROMETER_BIAS, GYROSCOPE_BIAS = slice(10, 13), slice(13, 16)
+ACCELEROMETER_BIAS = slice(10, 13)
+GYROSCOPE_BIAS = slice(13, 16)
 PLACES = D_POSITION, D_VELOCITY, D_ATTITUDE, _, _ = tuple(range(i, i + 3) for i in range(0, N_ERROR, 3))
 N_COVARIANCE = N_ERROR * (N_ERROR + 1) // 2  # numbers of the upper triangle
 PARTS = [0, 3, 6, 9, 12, 15]  # where position, velocity, attitude and the two biases begin, and the end
@@ -73,7 +75,9 @@ def propagate(
 
     reading: [a_m (m/s^2), w_m (rad/s)], (6,). duration: s. gravity: m/s^2, downwards.
     """
-    p, q, v = nominal[POSITION], nominal[ATTITUDE], nominal[VELOCITY]
+    p = nominal[POSITION]
+    q = nominal[ATTITUDE]
+    v = nominal[VELOCITY]
     u = (reading[:3] - nominal[ACCELEROMETER_BIAS]) * duration
     phi = (reading[3:] - nominal[GYROSCOPE_BIAS]) * duration
     half = exponential(phi / 2)
@@ -86,7 +90,8 @@ def propagate(
     by_attitude = -(cross_matrix(pushed) @ rotation_matrix(q))
     by_gyroscope = middle @ cross_matrix(u) @ right_jacobian(phi / 2) * (duration / 2)
     by_force = middle * duration
-    turn, turn_by_gyroscope = rotation_matrix(product(half, half)).T, -right_jacobian(phi) * duration
+    turn = rotation_matrix(product(half, half)).T
+    turn_by_gyroscope = -right_jacobian(phi) * duration
 
     def transition(d: Expression) -> Expression:
         dp, dv, turned, of_force, of_rate = ca.vertsplit(d, PARTS)
@@ -177,7 +182,8 @@ def packed(covariance: Expression) -> Expression:
 
 def unpacked(numbers: Expression) -> Expression:
     """The covariance (15, 15) of its upper triangle (120,)."""
-    columns, first = [], 0
+    columns = []
+    first = 0
     for j in range(N_ERROR):
         columns.append(ca.vertcat(numbers[first : first + j + 1], type(numbers)(N_ERROR - j - 1, 1)))
         first += j + 1
@@ -257,9 +263,11 @@ class Navigation(Effect):
 
         b = b^ + e_b, and the estimate b^ is uncorrelated with all errors e: so cov(e, b) = cov(e, e_b).
         """
-        gravity, standing = start.vehicle.gravity, _standing(self, start.vehicle.gravity)
+        gravity = start.vehicle.gravity
+        standing = _standing(self, start.vehicle.gravity)
         turned = Rotation.from_quat(start.x[ATTITUDE], scalar_first=True).as_matrix().T
-        bias, spread = start.begun[self.sensors.part][:N_BIAS], self.sensors.bias_std**2
+        bias = start.begun[self.sensors.part][:N_BIAS]
+        spread = self.sensors.bias_std**2
         by_bias = np.divide(standing[:, BIASES], spread, out=np.zeros((N_ERROR, N_BIAS)), where=spread > 0)
         values, vectors = np.linalg.eigh(standing - by_bias @ standing[BIASES])
         drawn = vectors @ (np.sqrt(np.maximum(values, 0)) * rng.standard_normal(N_ERROR))
@@ -288,7 +296,9 @@ class Navigation(Effect):
         return biases | named(VARIANCES, diagonal)
 
     def measure(self, at: Readings, measured: Measured) -> tuple[ca.MX, Measured]:
-        aids, count, behind = self.sensors.aids, self.sensors.readings(at.clock), self.horizon(at.clock)
+        aids = self.sensors.aids
+        count = self.sensors.readings(at.clock)
+        behind = self.horizon(at.clock)
         entries = ca.vertcat(measured["imu"], *(measured[aid.name] for aid in aids))
         queue = ca.horzcat(ca.reshape(at.inner[KNOWN.stop :], self.entry_size, behind), entries)
         known = self._filter().fold(count)(at.inner[KNOWN], queue[:, :count], ca.repmat(at.parameters, 1, count))
@@ -316,10 +326,13 @@ class Navigation(Effect):
             parameters=1 + N_DENSITIES + sum(len(aid.deviations) for aid in self.sensors.aids),
         )
         estimate = prediction()(known, entry[:N_READING], entry[N_READING], parameters[: 1 + N_DENSITIES])
-        place, first = N_ENTRY, 1 + N_DENSITIES
+        place = N_ENTRY
+        first = 1 + N_DENSITIES
         for aid in self.sensors.aids:
-            fix, place = entry[place : place + 1 + aid.size], place + 1 + aid.size
-            deviations, first = parameters[first : first + len(aid.deviations)], first + len(aid.deviations)
+            fix = entry[place : place + 1 + aid.size]
+            place = place + 1 + aid.size
+            deviations = parameters[first : first + len(aid.deviations)]
+            first = first + len(aid.deviations)
             estimate = correction(aid)(fix[0], estimate, fix[1:], deviations)
         return ca.Function("filter_step", [known, entry, parameters], [estimate])
 
@@ -335,11 +348,13 @@ def _standing(filter_: Navigation, gravity: float) -> np.ndarray:
     densities = sensors.densities
     densities[2:] = 0
     x = np.concatenate([np.zeros(3), [1], np.zeros(9)])
-    reading, parameters = [0, 0, gravity, 0, 0, 0], np.concatenate([[gravity], densities])
+    reading = [0, 0, gravity, 0, 0, 0]
+    parameters = np.concatenate([[gravity], densities])
     fixes = [aid.measure(ca.DM(x), ca.DM.zeros(aid.noise), ca.DM(aid.deviations)) for aid in sensors.aids]
     first = ca.diag(ca.DM(filter_.first_deviations(gravity) ** 2))
     known = ca.vertcat(x, ca.DM.zeros(N_NOMINAL - len(x)), packed(ca.densify(first)))
-    predict, corrections = prediction(), [correction(aid) for aid in sensors.aids]
+    predict = prediction()
+    corrections = [correction(aid) for aid in sensors.aids]
     due = np.zeros(len(sensors.aids))
     for _ in range(round(filter_.warm_up / interval)):
         known = predict(known, reading, interval, parameters)
@@ -373,11 +388,11 @@ def prediction() -> ca.Function:
 def correction(aid: Aid) -> ca.Function:
     """(whether there is a fix, [nominal state, covariance], fix, deviations) -> [nominal state, covariance]."""
     known, fix, deviations = symbols(ca.SX, known=KNOWN.stop, fix=aid.size, deviations=len(aid.deviations))
-    nominal, covariance = known[:N_NOMINAL], unpacked(known[N_NOMINAL:])
-    innovations = [
-        (innovation.value, innovation.row, deviations[innovation.deviation] ** 2)
-        for innovation in aid.compare(nominal, fix)
-    ]
+    nominal = known[:N_NOMINAL]
+    covariance = unpacked(known[N_NOMINAL:])
+    innovations = []
+    for innovation in aid.compare(nominal, fix):
+        innovations.append((innovation.value, innovation.row, deviations[innovation.deviation] ** 2))
     nominal, covariance = update(nominal, covariance, innovations)
     estimate = ca.cse([ca.vertcat(nominal, packed(covariance))])
     arguments = [known, fix, deviations]

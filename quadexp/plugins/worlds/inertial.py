@@ -55,7 +55,8 @@ N_READING = 6  # [a_m, w_m]
 N_BIAS = 6  # [b_a, b_g]
 N_NOISE = N_READING + N_BIAS
 N_DENSITIES = 4  # white noise and drift, of gyroscope and accelerometer
-FORCE, TURN = slice(0, 3), slice(3, 6)
+FORCE = slice(0, 3)
+TURN = slice(3, 6)
 WALK = 0.02  # s, see Held
 
 RATE = "[0.1, 8000]"  # interval of a sensor's rate, Hz
@@ -102,11 +103,11 @@ class Aid:
     compare: Callable[[Expression, Expression], list[Innovation]]
     first_guess: dict[int, float]
 
-    def sampling(self, *, outages: bool = True) -> np.ndarray:
+    def sampling(self) -> np.ndarray:
         """Parameters of `sample`, (3,)."""
         from scipy.special import ndtri
 
-        share = self.dropout if outages else 0.0
+        share = self.dropout
         ends = 1 / max(self.outage * self.rate, 1 / (1 - share))
         begins = ends * share / (1 - share)
         return np.array([self.rate, *np.clip(ndtri([begins, ends]), -FAR, FAR)])
@@ -226,10 +227,8 @@ class InertialSensors(Effect):
 
     def stated(self, sensor_spec: SensorSpec, vehicle: Vehicle) -> SensorSpec:
         force, turn, *_ = (self.densities * math.sqrt(self.imu_rate)).tolist()
-        accelerometer, gyroscope = (
-            Stated(noise, bias, span=1 / self.imu_rate)
-            for noise, bias in ((force, self.accelerometer_bias_std), (turn, self.gyroscope_bias_std))
-        )
+        accelerometer = Stated(force, self.accelerometer_bias_std, span=1 / self.imu_rate)
+        gyroscope = Stated(turn, self.gyroscope_bias_std, span=1 / self.imu_rate)
         return replace(sensor_spec, accelerometer=accelerometer, gyroscope=gyroscope)
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
@@ -239,7 +238,8 @@ class InertialSensors(Effect):
     def measure(self, at: Readings, measured: Measured) -> tuple[ca.MX, Measured]:
         instants = self._instants(at.clock)
         count = len(instants) - 1
-        before, after = at.states[:, instants[:-1]], at.states[:, instants[1:]]
+        before = at.states[:, instants[:-1]]
+        after = at.states[:, instants[1:]]
         durations = at.step * ca.DM(np.diff(instants)).T
         sizes = [N_READING, N_BIAS, *(1 + aid.noise for aid in self.aids)]
         drawn = split(at.draws, (size * count for size in sizes))
@@ -256,14 +256,20 @@ class InertialSensors(Effect):
         sizes += [1 + N_DENSITIES + sum(N_SAMPLING + len(aid.deviations) for aid in self.aids)]
         symbols = [ca.SX.sym(f"s{i}", size) for i, size in enumerate(sizes)]
         inner, before, after, duration, noise, parameters = symbols
-        gravity, densities = parameters[0], parameters[1 : 1 + N_DENSITIES]
+        gravity = parameters[0]
+        densities = parameters[1 : 1 + N_DENSITIES]
         exact = means(before, after, duration, gravity)
         reading, bias = read(exact, inner[:N_BIAS], duration, noise[:N_NOISE], densities)
-        clocks, fixes, drawn, first = [], [], N_NOISE, 1 + N_DENSITIES
+        clocks = []
+        fixes = []
+        drawn = N_NOISE
+        first = 1 + N_DENSITIES
         for i, aid in enumerate(self.aids):
             clock = inner[N_BIAS + N_CLOCK * i : N_BIAS + N_CLOCK * (i + 1)]
-            sampling, first = parameters[first : first + N_SAMPLING], first + N_SAMPLING
-            deviations, first = parameters[first : first + len(aid.deviations)], first + len(aid.deviations)
+            sampling = parameters[first : first + N_SAMPLING]
+            first = first + N_SAMPLING
+            deviations = parameters[first : first + len(aid.deviations)]
+            first = first + len(aid.deviations)
             taken, clock = sample(clock, duration, noise[drawn], sampling)
             fix = aid.measure(after, noise[drawn + 1 : drawn + 1 + aid.noise], deviations)
             drawn += 1 + aid.noise

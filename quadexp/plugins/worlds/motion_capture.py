@@ -32,7 +32,8 @@ class ImuMocap(InertialSensors):
 
     @property
     def aids(self) -> tuple[Aid, ...]:
-        position, attitude = self.pose_position_noise, self.pose_attitude_noise
+        position = self.pose_position_noise
+        attitude = self.pose_attitude_noise
         velocity = float(np.sqrt(2)) * position * self.pose_rate
         pose = Aid(
             name="pose",

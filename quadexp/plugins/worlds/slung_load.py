@@ -75,7 +75,8 @@ def hanging(cable: Cable, x: np.ndarray) -> np.ndarray:
 def cable_force(cable: Cable, x: Expression, load: Expression, step: Expression) -> Expression:
     """F (3,), world (N), on the vehicle in the state x (13,) by the load (6,), held over a step (s); see the module."""
     anchor, velocity = _anchor(cable, x)
-    relative, rate = load[:3] - anchor, load[3:] - velocity
+    relative = load[:3] - anchor
+    rate = load[3:] - velocity
     ahead = relative + step / 2 * rate
     length = ca.sqrt(ca.sumsqr(ahead) + 1e-12)  # differentiable where the load meets the vehicle
     direction = ahead / length
@@ -98,12 +99,15 @@ def advanced(cable: Cable, load: Expression, force: Expression, wind: Expression
 
 def _anchor(cable: Cable, x: Expression) -> tuple[Expression, Expression]:
     """Position (3,) (m) and velocity (3,) (m/s), world, of the cable's end at the vehicle."""
-    R, point = rotation_matrix(x[ATTITUDE]), _vector(cable.point)
+    R = rotation_matrix(x[ATTITUDE])
+    point = _vector(cable.point)
     return x[POSITION] + R @ point, x[VELOCITY] + R @ ca.cross(x[RATE], point)
 
 
 def _vector(values: Any) -> Expression:
-    return ca.DM(values) if isinstance(values, tuple) else values
+    if isinstance(values, tuple):
+        return ca.DM(values)
+    return values
 
 
 @keyed

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from quadexp.errors import DataError
 from quadexp.parts.settings import REQUIRED, key, keyed
 from quadexp.physics.expression import Expression, limited
 from quadexp.world.effect import Effect, Moment
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 COLUMNS = ("t", "wind_x", "wind_y", "wind_z")
 MAX_ROWS = 100_000  # nearly 3 h at 10 Hz
@@ -74,27 +77,25 @@ def read_wind(path: Path) -> WindRecord:
     Raises DataError, with the line or row, for a missing column, a value that is not a finite number, time that does
     not increase, no rows, or too many.
     """
-    columns = _columns(path)
-    missing = [name for name in COLUMNS if name not in columns]
+    table = _table(path)
+    missing = [name for name in COLUMNS if name not in table]
     if missing:
-        present = ", ".join(list(columns)[:20]) or "none"
+        present = ", ".join(table.columns) or "none"
         raise DataError(f"{path}: no column {', '.join(missing)} (found {present}; needed {', '.join(COLUMNS)})")
-    values = [columns[name] for name in COLUMNS]
-    rows = len(values[0])
-    if not 1 <= rows <= MAX_ROWS:
-        raise DataError(f"{path}: {rows} rows, 1 to {MAX_ROWS} are allowed")
-    for name, value in zip(COLUMNS, values, strict=True):
-        bad = np.flatnonzero(~np.isfinite(value))
-        if len(bad):
-            raise DataError(f"{path}: column {name!r} holds {value[bad[0]]} in row {bad[0]}, not a finite number")
-    for row, (before, now) in enumerate(pairwise(values[0]), 1):
-        if now <= before:
-            raise DataError(f"{path}: t = {now:g} s in row {row} is not after {before:g} s, time must increase")
-    return WindRecord(values[0], np.column_stack(values[1:]))
+    values = table[[*COLUMNS]].to_numpy()
+    if not 1 <= len(values) <= MAX_ROWS:
+        raise DataError(f"{path}: {len(values)} rows, 1 to {MAX_ROWS} are allowed")
+    for row, column in np.argwhere(~np.isfinite(values)):
+        found = values[row, column]
+        raise DataError(f"{path}: column {COLUMNS[column]!r} holds {found} in row {row}, not a finite number")
+    t = values[:, 0]
+    for row in np.flatnonzero(np.diff(t) <= 0) + 1:
+        raise DataError(f"{path}: t = {t[row]:g} s in row {row} is not after {t[row - 1]:g} s, time must increase")
+    return WindRecord(t, values[:, 1:])
 
 
-def _columns(path: Path) -> dict[str, np.ndarray]:
-    """The columns of COLUMNS that a file has."""
+def _table(path: Path) -> pd.DataFrame:
+    """Those of COLUMNS that a file has."""
     import pandas as pd
     import pyarrow as pa
 
@@ -104,8 +105,7 @@ def _columns(path: Path) -> dict[str, np.ndarray]:
             table = pd.read_parquet(path)
         else:
             table = pd.read_csv(path, comment="#", skipinitialspace=True, encoding="utf-8-sig")
-        table.columns = [str(name).strip() for name in table.columns]
-        return {name: table[name].to_numpy(dtype=float) for name in table.columns if name in COLUMNS}
+        return table.rename(columns=str.strip).filter(items=COLUMNS).astype(float)
     except (OSError, ValueError, TypeError, pa.ArrowException) as error:
         kind = "Parquet" if parquet else "CSV"
         raise DataError(f"{path}: not a readable {kind} file with numbers ({str(error).splitlines()[0]})") from None

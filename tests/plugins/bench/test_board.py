@@ -45,7 +45,6 @@ def test_another_entry_joins():
             {"protocol_sha256": "bb" * 32},
             "is of protocol bbbbbbbbbbbb, not aaaaaaaaaaaa: results of different protocols",
         ),
-        ({"protocol_sha256": "b7bee243bba37804"}, "is of protocol v2, which is flown no more: fly its entries again"),
         ({"size": "full"}, "is of size full, not quick: results of different sizes are not ranked together"),
         ({"seeds": range(2)}, "have not flown the same cells"),
         ({"tasks": ["circle"]}, "have not flown the same cells"),

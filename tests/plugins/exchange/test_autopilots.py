@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -173,4 +172,4 @@ def test_sih_has_one_layout_built_in(changes, message):
     vehicle = replace(VEHICLE, **changes)
     known = known_of(vehicle, crazyflie())
     with pytest.raises(UsageError, match=message):
-        px4_sih(known, None, Path("any"))
+        px4_sih(known)

@@ -17,7 +17,7 @@ def test_flown_identified_exported():
     flights = [fly_one(compose([*PLANT, f"trajectory.speed={speed}", f"seed={speed}"])) for speed in (3, 6)]
     settings = FitSettings(signal="rotor_speed", induced=False)
     model = fit_vehicle_model(flights, VEHICLES["hummingbird"], settings, names=["slow", "fast"], best="blade_element")
-    numbers = rotorpy(known_of(VEHICLES["hummingbird"], model), None, None).numbers
+    numbers = rotorpy(known_of(VEHICLES["hummingbird"], model)).numbers
     for name in ("k_d", "k_z", "k_h", "k_eta", "c_Dx", "c_Dy"):
         assert numbers[name].value == pytest.approx(HUMMINGBIRD[name], rel=2e-3), name
         assert abs(numbers[name].value - HUMMINGBIRD[name]) < numbers[name].half_width, name

@@ -170,7 +170,7 @@ def test_a_drag_that_would_push_is_written_as_0_and_said():
         drag, zero, 0.0, error, zero, 0.0, zero, zero, 100, freedom=np.full(7, 20.0), flights=5,
         vehicle=VEHICLE.record, feature_range={f"v_{axis}": [-3.0, 3.0] for axis in "xyz"},
     )  # fmt: skip
-    written = crazyflow(known_of(VEHICLE, model), None, None)
+    written = crazyflow(known_of(VEHICLE, model))
     assert tomllib.loads(written.text)["hummingbird"]["drag_matrix"][1] == [0, 0, 0]
     number = written.numbers["drag_y"]
     assert number.value == 0 and number.half_width is None and number.note.startswith("-0.05 +- 0.02")
@@ -180,7 +180,7 @@ def test_a_drag_that_would_push_is_written_as_0_and_said():
 def test_without_rotor_speeds_there_is_no_k():
     vehicle = replace(VEHICLE, thrust_coefficient=None)
     with pytest.raises(UsageError, match="needs the thrust per rotor speed squared"):
-        rotorpy(known_of(vehicle), None, None)
+        rotorpy(known_of(vehicle))
 
 
 def test_the_thrusts_of_the_file_are_corrected_by_the_flights():
@@ -190,7 +190,7 @@ def test_the_thrusts_of_the_file_are_corrected_by_the_flights():
         zero, zero, -0.1, zero, zero, 0.01, zero, zero, 100, freedom=np.full(7, 20.0),
         feature_range={f"v_{axis}": [-3.0, 3.0] for axis in "xyz"},
     )  # fmt: skip
-    number = rotorpy(known_of(VEHICLE, model), None, None).numbers["k_eta"]
+    number = rotorpy(known_of(VEHICLE, model)).numbers["k_eta"]
     assert number.value == pytest.approx(5.57e-6 * (1 - 0.1 * VEHICLE.mass))
     assert number.half_width == pytest.approx(5.57e-6 * 0.01 * VEHICLE.mass * 2.086, rel=1e-3)  # t of 20, 97.5 %
 

@@ -11,7 +11,7 @@ from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, RATE, VELOCITY
-from quadexp.plugins.foreign.rotorpy_se3 import RotorPySE3Keys
+from quadexp.plugins.foreign.rotorpy_se3 import RotorPySE3
 from tests.control.laws.flown import Body, at_rest, fly, hovering, rotation, vehicle_of
 from tests.states import random_state
 
@@ -117,7 +117,7 @@ def test_rotorpy_s_controller_is_what_its_paper_says(monkeypatch):
     pytest.importorskip("rotorpy")
     from quadexp.plugins.foreign.rotorpy_se3 import RotorPySE3Controller
 
-    vehicle, rng, keys = vehicle_of("lei_li", thrust_max=900.0), np.random.default_rng(6), RotorPySE3Keys()
+    vehicle, rng, keys = vehicle_of("lei_li", thrust_max=900.0), np.random.default_rng(6), RotorPySE3()
     object.__setattr__(vehicle, "thrust_min", -900.0)
     controller = RotorPySE3Controller(vehicle, keys)
     for _ in range(20):

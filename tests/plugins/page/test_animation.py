@@ -61,14 +61,12 @@ def test_the_vehicles_are_to_scale_and_where_they_were(tmp_path):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"out": "a.avi"}, "must end in .gif, .mp4"),
-        ({"out": "a.mp4"}, "needs ffmpeg on the PATH"),
+        ({"out": "a.mp4"}, "must end in .gif"),
         ({"rate": 0.5}, r"--rate 0.5: must be in \[1, 50\]"),
         ({"begin": 50.0}, "0 frames from 50"),
     ],
 )
-def test_what_cannot_be_drawn_is_one_line_and_no_file(tmp_path, monkeypatch, given, message):
-    monkeypatch.setenv("PATH", "")
+def test_what_cannot_be_drawn_is_one_line_and_no_file(tmp_path, given, message):
     path = flight(tmp_path, "gp_mpc", (0.0, 0.0, 0.0))
     out = tmp_path / given.pop("out", "a.gif")
     with pytest.raises(UsageError, match=message):
@@ -98,18 +96,3 @@ def test_flights_at_different_control_rates_follow_one_reference(tmp_path, ratio
         columns[name] = 5 * of(2 * at)
     fast = write_flight(tmp_path / "fast.parquet", Flight(columns, {**turning.metadata, "controller": "gp_mpc"}))
     assert animate([slow, fast], tmp_path / "a.gif", rate=10)["frames"] > 2
-
-
-def test_a_video_has_every_frame_and_the_last_one_stays(tmp_path, monkeypatch):
-    """By a stand-in for ffmpeg, which writes down what it is given."""
-    program = tmp_path / "ffmpeg"
-    program.write_text('#!/bin/sh\nfor target; do :; done\n{ echo "$@"; cat; } > "$target"\n')
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    made = animate([flight(tmp_path, "gp_mpc", (0.1, 0.0, 0.0))], tmp_path / "a.mp4", rate=10, end=0.5)
-    command, _, pixels = made["path"].read_bytes().partition(b"\n")
-    assert b"-s 720x390 -r 10 " in command and len(pixels) == (made["frames"] + 12) * 720 * 390 * 3
-    program.write_text("#!/bin/sh\ncat > /dev/null; echo no such codec >&2; exit 1\n")
-    with pytest.raises(UsageError, match="ffmpeg: no such codec"):
-        animate([tmp_path / "gp_mpc.parquet"], tmp_path / "b.mp4", rate=10, end=0.5)
-    assert not (tmp_path / "b.mp4").exists()

@@ -79,6 +79,6 @@ def test_a_sweep_that_is_refused_leaves_nothing(tmp_path):
 
 
 def test_times():
-    assert [clock(s) for s in (4.6, 65, 3723)] == ["5 s", "1:05 min", "1:02:03 h"]
+    assert [clock(s) for s in (4.6, 65, 3723)] == ["0:00:05", "0:01:05", "1:02:03"]
     live = Live("r", "mean_error", 10, 8.0, 2, rows=[row()] * 6)  # 4 in 8 s, 4 to go
-    assert live.progress_text() == "6 of 10 flights, 8 s so far, about 8 s left"
+    assert live.progress_text() == "6 of 10 flights, 0:00:08 so far, about 0:00:08 left"

@@ -13,9 +13,10 @@ from quadexp.parts.compose import session
 from quadexp.physics.rotor import THETA
 from quadexp.physics.state import ATTITUDE, STATE_COLUMNS, VELOCITY
 from quadexp.plugins.papers.lei_li.blade_element import FIRST_VALUES, OFFLINE, fit_blade_element, identify_flight
-from quadexp.plugins.papers.lei_li.rls import BladeElementRLS, RLSSettings
+from quadexp.plugins.papers.lei_li.rls import RLSSettings
 from tests import paper
 from tests.models.air_data import air_data
+from tests.plugins.papers.estimator import Estimator
 
 TRUE = np.array([0.22, 3.32, 0.01, 0.01, 0.02])  # of Lei & Li 2017, Table 1
 REPETITIONS = 40
@@ -127,7 +128,7 @@ def test_estimates_and_confidence(lei_li, flight):
 
 def test_is_the_estimator_sample_by_sample(lei_li, flight):
     found = identify_flight(flight, lei_li)
-    estimator, data = BladeElementRLS(lei_li, FIRST_VALUES, OFFLINE), air_data(800, period=0.02)
+    estimator, data = Estimator(lei_li, FIRST_VALUES, OFFLINE), air_data(800, period=0.02)
     for k in range(1, 800):
         force = [flight[f"acc_{axis}"][k] for axis in "xyz"]
         estimator.update(data.velocity[k], data.rotor_speed[k], np.array(force))

@@ -358,8 +358,8 @@ def data(rows=800, seed=0):
 
 P = {
     "a_x": (Hyperparameters(np.array([3.0]), 1.5, 0.04), ("v_x",)),
-    "a_y": (Hyperparameters(np.array([2.5]), 0.9, 0.04), ("v_y",)),
-    "a_z": (Hyperparameters(np.array([4.0, 6.0]), 2.0, 0.04), ("v_z", "thrust")),
+    "a_y": (Hyperparameters(np.array([2.5]), 1.5, 0.04), ("v_y",)),
+    "a_z": (Hyperparameters(np.array([4.0, 6.0]), 1.5, 0.04), ("v_z", "thrust")),
 }
 
 
@@ -375,7 +375,7 @@ def process(points=12):
 
 def stream(vehicle, law, v, u, a, forgetting=0.0):
     outputs = process()
-    adapting = adapting_process(gaussian_process_residual(vehicle, outputs), outputs, None)
+    adapting = adapting_process(gaussian_process_residual(vehicle, outputs), outputs, np.sqrt(1.5))
     learner = Learner(vehicle, adapting, law, variance=0.04, decay=1 - forgetting)
     for sample in zip(v, u, a, strict=True):
         learner.sample(*sample)

@@ -165,7 +165,6 @@ def test_impossible_settings_are_refused(change, found):
     ("changes", "found"),
     [
         (["controller.adapt.fitc=true"], "terms has no inducing points"),
-        (["controller.adapt.fit_prior=true"], "terms has no fitted signal variance"),
         (["observer=disturbance"], "what it learns in flight"),
     ],
 )

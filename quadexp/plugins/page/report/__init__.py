@@ -51,7 +51,8 @@ def make_report(
     parts = {name: part for view in views for name, part in view.parts().items()} if figures else {}
     drawn = {name: figure_of(replace(part, width=COLUMN)) for name, part in parts.items()}
     paths = {name: Path(figures or "") / f"{file_name(name)}.pdf" for name in drawn}
-    answered, checked = answer(comparison), comparison.checked
+    answered = answer(comparison)
+    checked = comparison.checked
     return {
         "path": out,
         "bytes": len(page.encode()),
@@ -66,10 +67,10 @@ def make_report(
 def render(comparison: Comparison, swept: Section, command: str, left_out: Sequence[str]) -> tuple[str, list[str]]:
     """The page, and what is not on it for its size. command: that makes it again. left_out: of what was swept."""
     whole = numbers(comparison)
-    short = [
-        replace(block, tables={name: replace(t, rows=t.rows[:MOST_LINES]) for name, t in block.tables.items()})
-        for block in whole.blocks
-    ]
+    short = []
+    for block in whole.blocks:
+        tables = {name: replace(t, rows=t.rows[:MOST_LINES]) for name, t in block.tables.items()}
+        short.append(replace(block, tables=tables))
     left_out = [*_left_out(comparison, whole), *left_out]
     parts = Page(comparison, replace(whole, blocks=short), swept, command, tuple(left_out))
     sections = [brought("sections", name)(parts) for name in places("sections")]

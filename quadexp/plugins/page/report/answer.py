@@ -56,7 +56,11 @@ def _flown(comparison: Comparison) -> str:
     counts = {label: counts[label] for label in comparison.look}
     trials = sum(flights.trials for flights in counts.values())
     if all(flights.ended == flights.trials for flights in counts.values()):
-        return f"All {trials} flights were completed." if trials > 1 else "The flight was completed." if trials else ""
+        if trials > 1:
+            return f"All {trials} flights were completed."
+        if trials:
+            return "The flight was completed."
+        return ""
     groups = grouped((flights.text(), label) for label, flights in counts.items())
     parts = [f"{listed(labels)} {text}" for text, labels in groups.items()]
     if len(parts) > MOST_COUNTS:
@@ -66,7 +70,8 @@ def _flown(comparison: Comparison) -> str:
 
 def _gain(comparison: Comparison) -> str:
     """Who has the least error, against the baseline and against a bound."""
-    verdict, metric = comparison.verdict, metric_of(comparison.metric).title
+    verdict = comparison.verdict
+    metric = metric_of(comparison.metric).title
     factor, unit = shown(comparison.metric)
     errors = {label: factor * comparison.geometric_mean(label) for label in comparison.order}
     errors = {label: error for label, error in errors.items() if math.isfinite(error)}
@@ -87,15 +92,23 @@ def _gain(comparison: Comparison) -> str:
 
 def _verdicts(comparison: Comparison) -> list[str]:
     """Who has the least error in each plant and vehicle."""
-    texts = [_capital(f"{text}.") for verdict in comparison.verdicts.values() if (text := verdict.text())]
+    texts = []
+    for verdict in comparison.verdicts.values():
+        if text := verdict.text():
+            texts.append(_capital(f"{text}."))
     hidden = len(texts) - MOST_COUNTS
-    return [*texts[:MOST_COUNTS], f"{hidden} more of this kind are below the tables."] if hidden > 1 else texts
+    if hidden > 1:
+        return [*texts[:MOST_COUNTS], f"{hidden} more of this kind are below the tables."]
+    return texts
 
 
 def _against(comparison: Comparison) -> str:
     """The gain of whom the answer compares with the baseline, in each plant and vehicle, the largest first where there
     are many; and the flights that are not in it."""
-    ratios = {world: of[comparison.rival] for world, of in comparison.by_world.items() if comparison.rival in of}
+    ratios = {}
+    for world, of in comparison.by_world.items():
+        if comparison.rival in of:
+            ratios[world] = of[comparison.rival]
     texts = {world: s for world, s in ratios.items() if s.pairs}
     if not texts:
         return ""
@@ -122,7 +135,9 @@ def _in_time(comparison: Comparison) -> str:
     label = comparison.rival or next(iter(comparison.order), None)
     if label is None or not math.isfinite(comparison.time(label)):
         return "No control step was timed."
-    median, tail, period = comparison.time(label), comparison.time(label, "p99"), comparison.period(label)
+    median = comparison.time(label)
+    tail = comparison.time(label, "p99")
+    period = comparison.period(label)
     base = comparison.reference
     beside = f"; {base}: {duration(comparison.time(base))}" if base and base != label else ""
     step = f"the control step of {label} takes {duration(median)} (median{beside})"
@@ -138,7 +153,8 @@ def _in_time(comparison: Comparison) -> str:
 
 def _sure(comparison: Comparison) -> str:
     """How far the gain can be trusted: what chance alone would do, and what other seeds would show."""
-    base, rival = comparison.reference, comparison.rival
+    base = comparison.reference
+    rival = comparison.rival
     pooled = comparison.overall.get(rival)
     if base is None or pooled is None or not pooled.pairs:
         flights = comparison.verdict.common
@@ -147,7 +163,10 @@ def _sure(comparison: Comparison) -> str:
     if not pooled.testable:
         return f"How sure: not at all yet. {seeds} cannot tell chance from a difference: fly more seeds."
     where = f" in {_world(comparison.world)}" if len(comparison.worlds) > 1 else ""
-    unsure = [_world(w) for w, of in comparison.by_world.items() if rival in of and not of[rival].significant]
+    unsure = []
+    for w, of in comparison.by_world.items():
+        if rival in of and not of[rival].significant:
+            unsure.append(_world(w))
     others = f" It is not sure in {listed(unsure)}." if where and pooled.significant and unsure else ""
     chance = (
         f"If {rival} and {base} were equally good, chance alone would make a difference like this one"
@@ -155,7 +174,9 @@ def _sure(comparison: Comparison) -> str:
     )
     if not pooled.significant:
         return f"How sure: not sure. {chance}"
-    ends = [percent(abs(end))[0] for end in sorted((pooled.reduction_low, pooled.reduction_high), key=abs)]
+    ends = []
+    for end in sorted((pooled.reduction_low, pooled.reduction_high), key=abs):
+        ends.append(percent(abs(end))[0])
     limits = f"lie between {ends[0]} and {ends[1]}" if ends[0] != ends[1] else f"again be {ends[0]}"
     again = f"With other seeds the difference would {limits}, {comparison.confidence:.0%} of the time."
     return f"How sure: {'very' if pooled.p_holm < VERY_SURE else 'fairly'}. {chance} {again}{others}"
@@ -173,7 +194,8 @@ def odds(p: float) -> str:
 
 def _note(comparison: Comparison) -> str:
     """What the answer is averaged over, and what is not in it."""
-    verdict, (plant, vehicle) = comparison.verdict, comparison.world
+    verdict = comparison.verdict
+    (plant, vehicle) = comparison.world
     conditions = sum(condition.world == comparison.world for condition in comparison.conditions)
     seeds = count(len({row["seed"] for row in comparison.main_rows}), "seed")
     each = f", {verdict.common} flights each" if verdict.common else ""
@@ -188,7 +210,10 @@ def _note(comparison: Comparison) -> str:
     alone = [label for label in comparison.order if label not in verdict.compared]
     if alone and verdict.common:
         parts.append(f"Not compared, because they completed too few flights: {listed(alone)}.")
-    bad = [row["outcome"].replace("_", " ") for row in comparison.rows if row["outcome"] != "ok"]
+    bad = []
+    for row in comparison.rows:
+        if row["outcome"] != "ok":
+            bad.append(row["outcome"].replace("_", " "))
     if bad:
         kinds = listed(distinct(bad))
         parts.append(f"{len(bad)} of {len(comparison.rows)} flights were not completed ({kinds}).")

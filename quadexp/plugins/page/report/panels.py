@@ -22,8 +22,11 @@ SWEPT = (
 def swept_section(comparison: Comparison) -> tuple[Section, list[str], list[View]]:
     """The figures that `quadexp plot` draws without keys, a tab a quantity, as many as there is room for; what is left
     out; and the views of the main quantity."""
-    frame, room = SweepFrame.read(comparison.root), BUDGET
-    blocks, left_out, main = list[Block](), list[str](), list[View]()
+    frame = SweepFrame.read(comparison.root)
+    room = BUDGET
+    blocks = list[Block]()
+    left_out = list[str]()
+    main = list[View]()
     for metric in dict.fromkeys((comparison.metric, *tabled(), SUCCESS)):
         try:
             views = automatic(frame, metric, comparison.confidence)

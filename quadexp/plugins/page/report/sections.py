@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -21,7 +21,7 @@ from quadexp.plugins.page.report.source import Comparison, Record
 from quadexp.report.checked import versions_of
 from quadexp.report.metrics import metric_of, position_error, tabled
 from quadexp.report.notes import table_notes
-from quadexp.report.pairing import Condition, Groups, condition_of, grouped
+from quadexp.report.pairing import Condition, Groups, Row, condition_of, grouped
 from quadexp.report.significance import Tests
 from quadexp.report.statistics import Statistic
 from quadexp.report.summary import margin_line
@@ -64,23 +64,18 @@ def swept_section(page: Page) -> Section:
     return page.swept
 
 
-def worst_section(page: Page) -> Section:
-    return worst(page.comparison, worst_rows(page.comparison))
-
-
-def origin_section(page: Page) -> Section:
-    return origin(page.comparison, records(page.comparison), page.command, page.left_out)
-
-
 def scoreboard(comparison: Comparison) -> Table:
     """Every contestant in the main world: completed flights, error, difference to the baseline, computing time; by the
     share of completed flights, then by the error over the common flights."""
     factor, unit = shown(comparison.metric)
-    base, verdict = comparison.reference, comparison.verdict
+    base = comparison.reference
+    verdict = comparison.verdict
     lines: list[Any] = []
     for label in comparison.order:
-        pooled, flights = comparison.overall.get(label), comparison.success(label)
-        mean, own_mean = (factor * comparison.geometric_mean(label, over_own=own_mean) for own_mean in (False, True))
+        pooled = comparison.overall.get(label)
+        flights = comparison.success(label)
+        mean = factor * comparison.geometric_mean(label)
+        own_mean = factor * comparison.geometric_mean(label, over_own=True)
         beyond = flights.ended > (verdict.common if mean == mean else 0)
         role = "best" if verdict.best and label == verdict.least else ""
         role = role or ("baseline" if label == base else "bound" if label in comparison.bounds else "")
@@ -121,13 +116,16 @@ def numbers(comparison: Comparison) -> Section:
 
 def _number_block(comparison: Comparison, metric: str) -> Block:
     """The error table, with the counts of completed flights in its heading, and the paired differences."""
-    statistics, marks = comparison.statistics.of(metric), comparison.look
+    statistics = comparison.statistics.of(metric)
+    marks = comparison.look
     options: Any = {"baseline": comparison.baseline, "confidence": comparison.confidence}
     table = error_table(comparison.rows, metric, **options)
-    heads: list[Any] = [
-        Cell(name, (f"{flown} completed",), mark=name if name in marks else "") if flown and i else Cell(name)
-        for i, (name, flown) in enumerate(zip(table.columns, table.rows[0], strict=True))
-    ]
+    heads: list[Any] = []
+    for i, (name, flown) in enumerate(zip(table.columns, table.rows[0], strict=True)):
+        if flown and i:
+            heads.append(Cell(name, (f"{flown} completed",), mark=name if name in marks else ""))
+        else:
+            heads.append(Cell(name))
     tables: dict[str, Table] = {metric: replace(table, columns=heads, rows=table.rows[1:], notes=())}
     if (differences := comparison_table(statistics)) is not None:
         tables[f"{metric}-differences"] = differences
@@ -135,16 +133,16 @@ def _number_block(comparison: Comparison, metric: str) -> Block:
     return Block(metric_of(metric).title, metric, tables=tables, notes=table_notes(statistics, tests))
 
 
-def worst_rows(comparison: Comparison, most: int = WORST) -> list[Mapping[str, Any]]:
+def worst_rows(comparison: Comparison) -> list[Row]:
     """Flights that were not completed, then the largest errors: the worst seed of each contestant and condition, at
     most EACH per contestant."""
 
-    def badness(row: Mapping[str, Any]) -> tuple[Any, ...]:
+    def badness(row: Row) -> tuple[Any, ...]:
         order = ENDS.index(row["outcome"]) if row["outcome"] in ENDS else 0
         error = row["max_error"]
         return order, -(error if error is not None and math.isfinite(error) else 0.0)
 
-    chosen: list[Mapping[str, Any]] = []
+    chosen: list[Row] = []
     conditions: dict[str, list[Condition]] = {}
     for row in sorted(comparison.rows, key=badness):
         seen = conditions.setdefault(comparison.label(row), [])
@@ -152,13 +150,15 @@ def worst_rows(comparison: Comparison, most: int = WORST) -> list[Mapping[str, A
             continue
         seen.append(condition_of(row))
         chosen.append(row)
-    return chosen[:most]
+    return chosen[:WORST]
 
 
-def worst(comparison: Comparison, rows: Sequence[Mapping[str, Any]]) -> Section:
+def worst_section(page: Page) -> Section:
     """A line a flight, and the commands that fly them again."""
-    bad, bad_shown = (sum(row["outcome"] != "ok" for row in flights) for flights in (comparison.rows, rows))
-    hidden = bad - bad_shown
+    comparison = page.comparison
+    rows = worst_rows(comparison)
+    shown_keys = {row["key"] for row in rows}
+    hidden = sum(row["outcome"] != "ok" and row["key"] not in shown_keys for row in comparison.rows)
     more = f"; {hidden} more were not completed (`quadexp results DIR --failures` lists them)" if hidden else ""
     lead = (
         f"Flights that were not completed, then the largest errors of every controller: {len(rows)} of"
@@ -166,37 +166,34 @@ def worst(comparison: Comparison, rows: Sequence[Mapping[str, Any]]) -> Section:
     )
     lines: list[Any] = []
     for row in rows:
-        label, flight = comparison.label(row), comparison.flight(row)
-        largest, when = "", ""
+        label = comparison.label(row)
+        flight = comparison.flight(row)
+        largest = ""
+        when = ""
         if flight is not None and "ref_p_x" in flight.columns:
             largest = f"{number(1e3 * row['max_error'])} mm"
             if "thinned" not in flight.metadata:
                 when = f"at {flight.t[int(np.argmax(position_error(flight)))]:.1f} s"
+        condition = condition_of(row)
+        rate = "" if condition.speed is None else f" at {speed_text(condition.speed)}"
+        title = f"{comparison.course_title(condition)}{rate}, seed {int(row['seed'])}"
         why = ": ".join(filter(None, (row["outcome"].replace("_", " "), row.get("cause"))))
         lost = "" if row["outcome"] == "ok" else why
-        lines.append([Cell(label, mark=label), Cell(_flight_title(comparison, row), lost=lost), Cell(largest, (when,))])
+        lines.append([Cell(label, mark=label), Cell(title, lost=lost), Cell(largest, (when,))])
     commands = [*filter(None, map(comparison.command, rows))]
     blocks = [Block(tables={"worst": Table(["controller", "flight", "largest error"], lines)})]
     blocks += [Block("Commands that fly them again", code=commands, folded=True)] if commands else []
     return Section("worst", "Worst", "Worst flights", lead, blocks)
 
 
-def _flight_title(comparison: Comparison, row: Mapping[str, Any]) -> str:
-    """Such as "circle, payload 0.1 kg at 8 m/s, seed 3", with plant and vehicle where there are several."""
-    condition = condition_of(row)
-    rate = "" if condition.speed is None else f" at {speed_text(condition.speed)}"
-    return f"{comparison.course_title(condition)}{rate}, seed {int(row['seed'])}"
-
-
-def records(comparison: Comparison) -> list[Record]:
-    """Metadata of at most LOOKED_AT flights, spread over all of them."""
-    rows = comparison.sampled(LOOKED_AT)
-    return [record for row in rows if (record := comparison.flight_record(row)) is not None]
-
-
-def origin(comparison: Comparison, flights: Sequence[Record], command: str, left_out: Sequence[str]) -> Section:
-    """Where every number comes from, and the commands that make it again. flights: metadata. command: of the page."""
-    about = facts(comparison, flights) + ([("Left out", "; ".join(left_out))] if left_out else [])
+def origin_section(page: Page) -> Section:
+    """Where every number comes from, and the commands that make it again."""
+    comparison = page.comparison
+    looked_at = map(comparison.flight_record, comparison.sampled(LOOKED_AT))
+    flights = [record for record in looked_at if record is not None]
+    about = facts(comparison, flights)
+    if page.left_out:
+        about.append(("Left out", "; ".join(page.left_out)))
     grids = [tuple(tuple(map(comparison.anywhere, texts)) for texts in grid) for grid in comparison.grids]
     models = {row["model"] for row in comparison.rows if row["model"]}
     sentences = [
@@ -205,7 +202,7 @@ def origin(comparison: Comparison, flights: Sequence[Record], command: str, left
     # With other paths they are other cells, which the folder of these does not take.
     place = comparison.place(comparison.root) + ("_again" if sentences or grids != comparison.grids else "")
     sweep = sweep_command(grids, place, [*comparison.conf, *sentences])
-    blocks = [Block(facts=about, code=[*filter(None, (sweep, command))])]
+    blocks = [Block(facts=about, code=[*filter(None, (sweep, page.command))])]
     if rows := settings(flights):
         tables = {"settings": Table(["setting", "value"], rows)}
         blocks.append(Block("Settings of the flights, those that differ first", tables=tables, folded=True))
@@ -224,30 +221,28 @@ def facts(comparison: Comparison, flights: Sequence[Record]) -> list[tuple[str, 
     models = {f"{f['model']}, sha256 {f.get('model_sha256', '')}" for f in flights if f.get("model")}
     created = comparison.record.get("provenance", {}).get("created", "")
     versions = ", ".join(f"{name} {version}" for name, version in versions_of(comparison.rows).items())
+    loops = ((flight.get("controller", ""), margin_line(flight.get("margins"))) for flight in flights)
     entries = [
         ("Results", f"{len(comparison.rows)} flights, sha256 {comparison.digest}"),
         ("Files", " ".join(filter(None, (f"{comparison.checked.text()}.", *comparison.checked.lines())))),
         ("Seeds", ", ".join(map(str, sorted({int(row["seed"]) for row in comparison.rows})))),
         ("Made", ", commit ".join(filter(None, (created, ", ".join(sorted(commits)))))),
         ("Machine", "; ".join(sorted(machines))),
-        *(("Loop", line) for line in margins(flights)),
+        *(("Loop", line) for line in distinct(f"{name}: {line}" for name, line in loops if line)),
         *(("Checkpoint", model) for model in sorted(models)),
         ("Versions", versions),
     ]
     return [(term, text) for term, text in entries if text]
 
 
-def margins(flights: Iterable[Record]) -> list[str]:
-    """Controller and margins of its loop; several lines for one whose settings vary."""
-    lines = ((f.get("controller", ""), margin_line(f.get("margins"))) for f in flights)
-    return distinct(f"{name}: {line}" for name, line in lines if line)
-
-
 def settings(flights: Sequence[Record]) -> list[list[str]]:
     """A line a setting with its values in order of appearance; those that differ between flights first."""
     stated = (pair for flight in flights for pair in flat(flight.get("config", {})).items())
     values = grouped((key, value if isinstance(value, str) else json.dumps(value)) for key, value in stated)
-    different = {key: distinct(texts) for key, texts in values.items() if set(texts) != {"null"}}
+    different = {}
+    for key, texts in values.items():
+        if set(texts) != {"null"}:
+            different[key] = distinct(texts)
     lines = sorted(different.items(), key=lambda item: len(item[1]) == 1 and len(values[item[0]]) == len(flights))
     return [[key, ", ".join(t[:MOST_VALUES] + ["…"] * (len(t) > MOST_VALUES))] for key, t in lines]
 
@@ -262,4 +257,6 @@ def sweep_command(grids: Sequence[Grid], out: str, others: Sequence[str] = ()) -
     else:
         named = {text for grid in grids for texts in grid for text in texts if text.startswith("experiment=")}
         words = sorted(named) if len(named) == 1 else []
-    return shlex.join(["quadexp", "evaluate", *others, "--sweep", *words, "--out", out]) if words else ""
+    if words:
+        return shlex.join(["quadexp", "evaluate", *others, "--sweep", *words, "--out", out])
+    return ""

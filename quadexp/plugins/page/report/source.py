@@ -32,13 +32,14 @@ from quadexp.report.pairing import (
     Contestant,
     Flights,
     Groups,
+    Row,
     World,
     condition_of,
     contestant_labels,
     contestant_of,
     is_bound,
     is_invalid,
-)  # fmt: skip
+)
 from quadexp.report.significance import Tests
 from quadexp.report.statistics import CONFIDENCE, Statistic, Statistics, pooled, results_statistics
 from quadexp.report.style import Look, looks
@@ -65,7 +66,7 @@ class Comparison:
 
     root: Path
     rows: list[dict[str, Any]]
-    record: Mapping[str, Any]
+    record: Record
     statistics: Statistics
     metric: str
     baseline: str
@@ -81,7 +82,7 @@ class Comparison:
     def contestants(self) -> dict[str, Contestant]:
         return {label: contestant for contestant, label in self.labels.items()}
 
-    def label(self, row: Mapping[str, Any]) -> str:
+    def label(self, row: Row) -> str:
         return self.labels[contestant_of(row)]
 
     @cached_property
@@ -95,7 +96,10 @@ class Comparison:
 
     def course_title(self, at: Condition) -> str:
         """The trajectory, with settings, plant and vehicle as far as they distinguish it from the others."""
-        several = [name for name, *names in zip(at.world, *self.worlds, strict=True) if len({*names}) > 1]
+        several = []
+        for name, *names in zip(at.world, *self.worlds, strict=True):
+            if len({*names}) > 1:
+                several.append(name)
         return ", ".join([self.courses[at.trajectory, at.setting], *several])
 
     @cached_property
@@ -108,7 +112,10 @@ class Comparison:
         flown = [row for row in self.rows if row["outcome"] not in UNFLOWN]
 
         def size(world: World) -> tuple[int, int]:
-            mine = [self.label(row) for row in flown if (row["plant"], row["vehicle"]) == world]
+            mine = []
+            for row in flown:
+                if (row["plant"], row["vehicle"]) == world:
+                    mine.append(self.label(row))
             return len(set(mine)), len(mine)
 
         return max(self.worlds, key=size)
@@ -156,34 +163,31 @@ class Comparison:
 
         over_own: over all its own completed flights.
         """
-        return self._means[label, over_own]
+        errors = []
+        contestant = self.contestants[label]
+        for condition in self.groups.worlds[self.world]:
+            flights = self.groups.cells.get((condition, contestant), ())
+            seeds = {flight.seed for flight in flights if flight.complete}
+            if not over_own:
+                compared = contestant in self._common.compared
+                seeds &= self._common.seeds.get(condition, frozenset()) if compared else frozenset()
+            values = self.groups.values(condition, contestant, 0, seeds)
+            values = values[np.isfinite(values)]
+            if len(values) and np.mean(values) > 0:
+                errors.append(np.mean(values))
+        return float(np.exp(np.mean(np.log(errors)))) if errors else math.nan
 
     @cached_property
-    def _means(self) -> dict[tuple[str, bool], float]:
-        means: dict[tuple[str, bool], list[float]] = {
-            (x, over_own): [] for x in self.contestants for over_own in (False, True)
-        }
-        among = self.groups.common(self.groups.worlds[self.world])
-        for (condition, contestant), flights in self.groups.cells.items():
-            if condition.world != self.world:
-                continue
-            completed = {f.seed for f in flights if f.complete}
-            common = among.seeds.get(condition, frozenset()) if contestant in among.compared else frozenset()
-            for over_own, seeds in ((False, completed & common), (True, completed)):
-                values = self.groups.values(condition, contestant, 0, seeds)
-                values = values[np.isfinite(values)]
-                if len(values) and np.mean(values) > 0:
-                    means[self.labels[contestant], over_own].append(float(np.mean(values)))
-        return {
-            at: float(np.exp(np.mean(np.log(values_of)))) if values_of else math.nan for at, values_of in means.items()
-        }
+    def _common(self) -> Any:
+        return self.groups.common(self.groups.worlds[self.world])
 
     @cached_property
     def order(self) -> list[str]:
         """Labels of the main world, by the share of completed flights, then by the error."""
 
         def place(label: str) -> tuple[float, bool, float]:
-            share, error = self.success(label).share, self.geometric_mean(label)
+            share = self.success(label).share
+            error = self.geometric_mean(label)
             return -share if share == share else 1.0, math.isnan(error), error
 
         return sorted(dict.fromkeys(map(self.label, self.main_rows)), key=place)
@@ -196,12 +200,16 @@ class Comparison:
     def reference(self) -> str | None:
         """Label of the baseline in the main world; None if it is not there once."""
         there = [label for label in self.order if self.contestants[label].controller == self.baseline]
-        return there[0] if len(there) == 1 else None
+        if len(there) == 1:
+            return there[0]
+        return None
 
     @property
     def rival(self) -> str:
         """Whom the answer compares with the baseline: the least error, or where that is its own, the nearest one."""
-        return self.verdict.next if self.verdict.least == self.reference else self.verdict.least
+        if self.verdict.least == self.reference:
+            return self.verdict.next
+        return self.verdict.least
 
     @property
     def of_the_air(self) -> bool:
@@ -233,13 +241,15 @@ class Comparison:
         """The grids of the sweep; empty if the record does not have them."""
         return [tuple(map(tuple, grid)) for grid in self.record.get("grids", [])]
 
-    def asked(self, row: Mapping[str, Any]) -> tuple[str, ...]:
+    def asked(self, row: Row) -> tuple[str, ...]:
         """The overrides of a row's cell; empty if the record does not have them."""
         cells = Combinations(self.grids)
         places = (i for i, other in enumerate(self.rows) if other["key"] == row["key"])
-        return cells.overrides(next(places)) if len(cells) == len(self.rows) else ()
+        if len(cells) == len(self.rows):
+            return cells.overrides(next(places))
+        return ()
 
-    def command(self, row: Mapping[str, Any]) -> str:
+    def command(self, row: Row) -> str:
         """What flies a row again in any folder; "" where the record of the results does not say."""
         asked = {text.partition("=")[0]: self.anywhere(text) for text in self.asked(row)}
         words = {key: text for key, text in asked.items() if is_read(key, "simulate")}
@@ -248,7 +258,9 @@ class Comparison:
             if words and config.get(key):
                 words[key] = self._file(key, config[key])
         out = ["--out", f"runs/{row['key']}.parquet"]  # several may have the same default
-        return shlex.join(["quadexp", "simulate", *self.conf, *words.values(), *out]) if words else ""
+        if words:
+            return shlex.join(["quadexp", "simulate", *self.conf, *words.values(), *out])
+        return ""
 
     @property
     def conf(self) -> list[str]:
@@ -259,7 +271,9 @@ class Comparison:
         """An override that means the same in any folder: with an absolute path where it names a file."""
         key, _, value = text.partition("=")
         path = read_value(value) if key in PATHS else None
-        return self._file(key, path) if path else text
+        if path:
+            return self._file(key, path)
+        return text
 
     def _file(self, key: str, path: str | list[str]) -> str:
         """An override with a path, or a list of them, from the folder in which the sweep was flown."""
@@ -269,7 +283,9 @@ class Comparison:
 
     def place(self, path: Path) -> str:
         """A path as commands name it; by its name alone where the record of the results says no folder either."""
-        return str(path.absolute()) if "folder" in self.record else path.name
+        if "folder" in self.record:
+            return str(path.absolute())
+        return path.name
 
     def sampled(self, most: int) -> list[dict[str, Any]]:
         """At most so many rows, evenly chosen."""
@@ -277,8 +293,13 @@ class Comparison:
 
     def time(self, label: str, which: str = "median") -> float:
         """Time of the control step, s: median over its flights of their median or p99."""
-        mine = [r[f"solve_time_{which}"] for r in self.main_rows if self.label(r) == label and r["outcome"] == "ok"]
-        return float(np.median(mine)) if mine else math.nan
+        mine = []
+        for r in self.main_rows:
+            if self.label(r) == label and r["outcome"] == "ok":
+                mine.append(r[f"solve_time_{which}"])
+        if mine:
+            return float(np.median(mine))
+        return math.nan
 
     def period(self, label: str) -> float:
         """Time between two commands, s; NaN if no flight tells."""
@@ -287,20 +308,22 @@ class Comparison:
         rate = ((record or {}).get("config", {}).get("controller") or {}).get("rate")
         return 1 / rate if rate else math.nan
 
-    def flight_record(self, row: Mapping[str, Any]) -> dict[str, Any] | None:
+    def flight_record(self, row: Row) -> dict[str, Any] | None:
         """Metadata of a row's flight; None if its file is missing, or was changed since it was written."""
         try:
             return read_record(CellStore(self.root).path(row["key"]), "flight")
         except (UsageError, DataError):
             return None
 
-    def flight(self, row: Mapping[str, Any]) -> Flight | None:
+    def flight(self, row: Row) -> Flight | None:
         """The flight of a row; None if its file is missing, was changed, or holds no samples."""
         if self.flight_record(row) is None:  # Arrow can end the process over bytes that were changed
             return None
         with contextlib.suppress(UsageError, DataError):
             flight = read_flight(CellStore(self.root).path(row["key"]), check=False)
-            return flight if len(flight) > 1 else None
+            if len(flight) > 1:
+                return flight
+            return None
         return None
 
 

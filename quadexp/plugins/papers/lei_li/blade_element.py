@@ -59,7 +59,7 @@ from quadexp.physics.state import STATE_COLUMNS, root_mean_square
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.logs.samples import READINGS, check_columns
 from quadexp.plugins.papers.lei_li.rls import ITERATIONS as SAFE_ITERATIONS
-from quadexp.plugins.papers.lei_li.rls import SLOWEST, BladeElementRLS, RLSSettings
+from quadexp.plugins.papers.lei_li.rls import SLOWEST, RLSSettings, recursion, standard_errors
 
 ITERATIONS = 4  # Newton steps; three reach 1e-9 m/s in cruise, idling rotors and steep descents need a fourth
 
@@ -89,16 +89,25 @@ def blade_element_residual(
 
 
 def blade_element_correction(
-    vehicle: Vehicle, z: Expression, theta: Expression, *, lift_scale: Expression = 1.0, payload: Expression = 0.0,
-    rotor_local_velocity: bool = False, terms: CrossTerms = ADOPTED, iterations: int = ITERATIONS,
+    vehicle: Vehicle,
+    z: Expression,
+    theta: Expression,
+    *,
+    lift_scale: Expression = 1.0,
+    payload: Expression = 0.0,
+    rotor_local_velocity: bool = False,
+    terms: CrossTerms = ADOPTED,
+    iterations: int = ITERATIONS,
     rotor_speed_min: float = IDLE_SPEED,
-) -> tuple[Expression, Expression]:  # fmt: skip
+) -> tuple[Expression, Expression]:
     """y (6,) and dy/dz (6, 6 + n) as SX expressions.
 
     z: features (6 + n,). theta: (5,). lift_scale: factor on every rotor's C_la, scalar or (n,). payload: kg.
     """
-    rotor, thrust_coefficient = vehicle.rotor_geometry, vehicle.static_thrust_coefficient
-    velocity, rate = z[:3], z[3:6] if rotor_local_velocity else None
+    rotor = vehicle.rotor_geometry
+    thrust_coefficient = vehicle.static_thrust_coefficient
+    velocity = z[:3]
+    rate = z[3:6] if rotor_local_velocity else None
     command = ca.fmax(z[6:], thrust_coefficient * rotor_speed_min**2)
     w = static_rotor_speed(command, thrust_coefficient)
     flow = rotor_flow(vehicle, velocity, rate)
@@ -112,7 +121,8 @@ def blade_element_correction(
     )
     acceleration = force / (vehicle.mass + payload) - along_z(ca.sum1(command) / vehicle.mass)
     y = ca.vertcat(acceleration, torque - ca.sparsify(ca.DM(vehicle.allocation[1:])) @ command)
-    dg_dz, slope = ca.jacobian(equation.value(induced), z), equation.slope(induced)
+    dg_dz = ca.jacobian(equation.value(induced), z)
+    slope = equation.slope(induced)
     d_induced = -(ca.diag(1 / slope) @ dg_dz)
     dy_dz = ca.jacobian(y, z) + ca.jacobian(y, induced) @ d_induced
     y, dy_dz = ca.substitute([y, dy_dz], [induced], [solution])
@@ -136,9 +146,13 @@ class BladeFit:
 
 
 def fit_blade_element(
-    vehicle: Vehicle, velocity: np.ndarray, rotor_speed: np.ndarray, specific_force: np.ndarray,
-    initial: BladeCoefficients, stretch: np.ndarray | None = None,
-) -> BladeFit:  # fmt: skip
+    vehicle: Vehicle,
+    velocity: np.ndarray,
+    rotor_speed: np.ndarray,
+    specific_force: np.ndarray,
+    initial: BladeCoefficients,
+    stretch: np.ndarray | None = None,
+) -> BladeFit:
     """Fit one flight.
 
     velocity: air-relative, (k, 3) body FLU (m/s). rotor_speed: (k, n) (rad/s), all turning. specific_force: (k, 3) body
@@ -151,7 +165,8 @@ def fit_blade_element(
     function = _force_function(vehicle)
     first = np.r_[initial.parameters(), np.zeros(3)]
     spread = np.r_[PRIOR_SPREAD * np.maximum(np.abs(first[:5]), 1e-3), np.full(3, PRIOR_OFFSET)]
-    low, high = LIFT_RANGE[0] * first[C_LA], LIFT_RANGE[1] * first[C_LA]
+    low = LIFT_RANGE[0] * first[C_LA]
+    high = LIFT_RANGE[1] * first[C_LA]
 
     def at(c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Errors (k, 3) and X (k, 3, 8)."""
@@ -175,7 +190,8 @@ def fit_blade_element(
         slope = np.einsum("kai,ka->i", design, error) / noise**2 + (first - c) / spread**2
         step = np.linalg.solve(information, slope)
         size = float(np.sqrt(step @ information @ step))  # in standard errors
-        share, before = 1.0, cost(c, error, noise)
+        share = 1.0
+        before = cost(c, error, noise)
         for _ in range(20):
             tried = c + share * step
             tried[C_LA] = np.clip(tried[C_LA], low, high)
@@ -204,10 +220,11 @@ def _force_function(vehicle: Vehicle) -> ca.Function:
     n = vehicle.n_rotors
     v, w, theta, induced = symbols(ca.SX, v=3, w=n, theta=5, V_I=n)
     flow = rotor_flow(vehicle, v)
-    equation = balance(vehicle.rotor_geometry, theta[C_LA], w, flow.in_plane_squared, flow.axial, ADOPTED)
-    force, _ = aerodynamic_wrench(vehicle, theta, v, w, induced, terms=ADOPTED)
+    equation = balance(vehicle.rotor_geometry, theta[C_LA], w, flow.in_plane_squared, flow.axial)
+    force, _ = aerodynamic_wrench(vehicle, theta, v, w, induced)
     slope = ca.jacobian(force, theta) + ca.jacobian(force, induced) @ equation.derivative(induced, theta)
-    results, solution = [force / vehicle.mass, ca.densify(slope) / vehicle.mass], safe_newton(equation, SAFE_ITERATIONS)
+    results = [force / vehicle.mass, ca.densify(slope) / vehicle.mass]
+    solution = safe_newton(equation, SAFE_ITERATIONS)
     return ca.Function("specific_force", [v, w, theta], ca.cse(ca.substitute(results, [induced], [solution])))
 
 
@@ -242,12 +259,14 @@ class Identification:
 
     def metadata(self) -> dict[str, Any]:
         """Metadata of the table; the estimates are those of the fit to all samples where there is one."""
-        recursion, clips = (named(THETA, values.tolist()) for values in (self.raw[-1], self.clips))
+        recursion = named(THETA, self.raw[-1].tolist())
+        clips = named(THETA, self.clips.tolist())
         record: dict[str, Any] = {"flight": self.name, "estimates": recursion, "recursion": recursion}
         if self.fit is not None:
             record["estimates"] = named(THETA, self.fit.theta.tolist())
             record["interval_95"] = {name: list(self.fit.interval(name)) for name in THETA}
-            record |= {"accelerometer_offset": self.fit.offset.tolist(), "blocks": self.fit.blocks}
+            record["accelerometer_offset"] = self.fit.offset.tolist()
+            record["blocks"] = self.fit.blocks
         noise = self.noise if self.fit is None else self.fit.noise
         return record | {"note": self.note, "noise": noise, "clips": clips, "skipped": self.skipped}
 
@@ -284,29 +303,34 @@ def identify_flight(
     rotors = [f"rotor_speed_{i}" for i in range(vehicle.n_rotors)]
     name = name or str(flight.metadata.get("name", "flight"))
     check_columns(flight, name, [*rotors, *READINGS, *STATE_COLUMNS], first=1)
-    speed, force, velocity = flight.stack(rotors)[1:], flight.stack(READINGS)[1:], flight.air_velocity[1:]
+    speed = flight.stack(rotors)[1:]
+    force = flight.stack(READINGS)[1:]
+    velocity = flight.air_velocity[1:]
 
-    estimator = BladeElementRLS(vehicle, FIRST_VALUES, settings or OFFLINE)
-    theta, raw, standard_error = np.empty((3, len(speed), len(THETA)))
-    error = np.full((len(speed), 3), np.nan)
-    for k in range(len(speed)):
-        theta[k] = estimator.update(velocity[k], speed[k], force[k])
-        raw[k], standard_error[k], error[k] = estimator.raw, estimator.standard_error(), estimator.error
-    if estimator.samples == 0:
+    settings = settings or OFFLINE
+    kept = recursion(vehicle, FIRST_VALUES, settings, {"v": velocity, "w": speed, "y": force})
+    if not kept["samples"][-1, 0]:
         raise DataError(f"{name}: the rotors do not turn in this flight, nothing can be identified")
+    error = kept["error"]
     noise = float(np.sqrt(np.nanmean(error[len(error) // 2 :] ** 2)))
-    standard_error *= noise / estimator.settings.noise
+    standard_error = standard_errors(kept, settings) * noise / settings.noise
     turning = speed.min(axis=1) >= SLOWEST
     stretch = np.asarray(flight.columns.get("segment", np.zeros(len(flight))))[1:]
-    fit, note = None, ""
+    fit = None
+    note = ""
     try:
         fit = fit_blade_element(
-            vehicle, velocity[turning], speed[turning], force[turning], FIRST_VALUES,
+            vehicle,
+            velocity[turning],
+            speed[turning],
+            force[turning],
+            FIRST_VALUES,
             np.concatenate([[0], np.cumsum(stretch[1:] != stretch[:-1])])[turning],
-        )  # fmt: skip
+        )
     except DataError as reason:
         note = str(reason)
+    clips = kept["clips"][-1].astype(int)
+    skipped = int(kept["skipped"][-1, 0])
     return Identification(
-        name, flight.t[1:], theta, raw, standard_error, error, noise,
-        estimator.clips.copy(), estimator.skipped, fit, note,
-    )  # fmt: skip
+        name, flight.t[1:], kept["used"], kept["raw"], standard_error, error, noise, clips, skipped, fit, note
+    )

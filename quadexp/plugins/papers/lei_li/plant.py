@@ -134,7 +134,9 @@ class BladeElement(BladeElementEffects, BladeKeys, PlantPart):
             )
         changes = []
         for change in self.schedule:
-            values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in change.items()}
+            values: dict[str, Any] = {}
+            for k, v in change.items():
+                values[k] = tuple(v) if isinstance(v, list) else v
             changes.append(PlantChange(**values))
         return BladeElementPlant(
             context.vehicle,
@@ -168,7 +170,8 @@ class BladeElementPlant(RotorSpeedPlant):
         backend: str = "auto",
     ) -> None:
         _ = vehicle.rotor_geometry, vehicle.static_thrust_coefficient  # UsageError where the vehicle has none
-        self.coefficients, self.effects = coefficients, effects or BladeElementEffects()
+        self.coefficients = coefficients
+        self.effects = effects or BladeElementEffects()
         self.schedule = tuple(sorted(schedule, key=lambda change: change.t))
         for change in self.schedule:
             if change.lift_scale is not None and len(change.lift_scale) != vehicle.n_rotors:
@@ -204,7 +207,8 @@ class BladeElementPlant(RotorSpeedPlant):
     def parameters(self, step: float) -> np.ndarray:
         """Changes that are due take effect."""
         self._apply_changes()
-        lag, n = self.effects.motor_lag, self.vehicle.n_rotors
+        lag = self.effects.motor_lag
+        n = self.vehicle.n_rotors
         thrust_coefficient = np.full(n, self.vehicle.static_thrust_coefficient)
         blend = 1.0 - math.exp(-step / lag) if lag > 0 else 1.0
         return np.concatenate([self._air_parameters(), thrust_coefficient, [blend]])
@@ -335,7 +339,9 @@ def fast_equations(model: BladeElementModel, rough: bool = False) -> Equations:
     n = model.vehicle.n_rotors
     x, w, held, parameters, h = _symbols(model, ca.SX)
     last, doubt, noise = symbols(ca.SX, V_I=n, doubt=1, noise=0)
-    w_now, doubts, induced = model.rotor_speed(w, held), [doubt], last
+    w_now = model.rotor_speed(w, held)
+    doubts = [doubt]
+    induced = last
 
     def slope(state: Expression) -> Expression:
         nonlocal induced
@@ -372,15 +378,19 @@ def checked_equations(model: BladeElementModel) -> Equations:
     """Never in doubt. Kept of every step: status (n,) as `Defined`, flow (3, n): V_h, V_z, w there. s: x, w."""
     n = model.vehicle.n_rotors
     s, noise = symbols(ca.MX, s=N_STATE + n, noise=0)
-    x, w = s[:N_STATE], s[N_STATE:]
+    x = s[:N_STATE]
+    w = s[N_STATE:]
     _, _, held, parameters, h = _symbols(model, ca.MX)
     solution = solution_function(model.vehicle.rotor_geometry, model.terms).map(n)
-    w_now, statuses, flows = model.rotor_speed(w, held), [], []
+    w_now = model.rotor_speed(w, held)
+    statuses = []
+    flows = []
 
     def solve(state: Expression, speeds: Expression) -> Expression:
         theta, lift_scale, _ = model.split(parameters)
         equation = model.equation(state, speeds, parameters)
-        squared, axial = (_row(value, n) for value in (equation.in_plane_squared, equation.axial))
+        squared = _row(equation.in_plane_squared, n)
+        axial = _row(equation.axial, n)
         induced, status = solution((theta[C_LA] * lift_scale).T, speeds.T, squared, axial)
         statuses.append(status.T)
         flows.append(ca.vertcat(ca.sqrt(squared), axial, speeds.T))
@@ -391,7 +401,8 @@ def checked_equations(model: BladeElementModel) -> Equations:
     induced = solve(x, w)
     reading, _ = model.specific_force_and_torque(x, w, induced, parameters)
 
-    results, kept = [ca.vertcat(x_next, w_now), worst, flows[0]], ["s_next", "status", "flow"]
+    results = [ca.vertcat(x_next, w_now), worst, flows[0]]
+    kept = ["s_next", "status", "flow"]
     return Equations(
         ca.Function("checked_step", [s, held, noise, parameters, h], results, STEP_INPUTS, kept),
         _begin(model, lambda x, w, held, parameters: ca.vertcat(x, w)),
@@ -434,7 +445,9 @@ def _symbols(model: BladeElementModel, kind: type[Expression]) -> list[Expressio
 
 def _row(value: Expression, n: int) -> Expression:
     """(1, n) of a scalar or of (n,)."""
-    return ca.repmat(value, 1, n) if value.is_scalar() else value.T
+    if value.is_scalar():
+        return ca.repmat(value, 1, n)
+    return value.T
 
 
 def _doubt(equation: Balance, before: Expression, induced: Expression) -> Expression:

@@ -19,11 +19,11 @@ from quadexp.log.store import read_flight
 from quadexp.names import named
 from quadexp.physics.rotor import THETA
 from quadexp.report.metrics import position_error
+from quadexp.report.pairing import Row, Rows
+from quadexp.report.paper import Drawn
 from quadexp.report.style import COLOURS, DASHES, GREY, Figure, entries, looks, plain_log, styled
 from quadexp.report.table import Table
 from quadexp.report.text import speed_text
-
-Row = Mapping[str, Any]
 
 SHOWN = ("rls_feedback", "static_feedback", "oracle_feedback", "literal_feedback")
 EXPECTED = {  # trajectory, speed (m/s) -> time average of ||e_xi|| over 60 s (m) of each of SHOWN
@@ -50,7 +50,7 @@ def flown(rows: Iterable[Row], out: Path) -> list[tuple[Row, Flight]]:
     return [(row, read_flight(store.path(row["key"]), whole=True)) for row in rows if row["outcome"] in ("ok", "lost")]
 
 
-def draw(rows: Sequence[Row], out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
+def draw(rows: Rows, out: Path) -> Drawn:
     """Figures 2-4 of the paper, at its speed and as printed (without the cone), and the table of all."""
     rows = without_corridor(rows)
     printed = [row for row in rows if "cone=true" not in row["variant"].lower()]
@@ -77,7 +77,7 @@ def draw(rows: Sequence[Row], out: Path) -> tuple[dict[str, str], dict[str, Figu
     return tables, figures
 
 
-def expected_table(rows: Sequence[Row], heights: Mapping[str, float] | None = None) -> str:
+def expected_table(rows: Rows, heights: Mapping[str, float] | None = None) -> str:
     """Markdown: time average of ||e_xi|| measured and expected, the highest point, and outcomes, by case.
 
     heights: key of a row -> highest altitude of its flight (m). Expected values are for the law as printed, without the
@@ -105,8 +105,17 @@ def expected_table(rows: Sequence[Row], heights: Mapping[str, float] | None = No
         case = [trajectory, speed_text(speed, ""), controller, options, str(len(group))]
         lines.append([*case, shown, "" if expected is None else str(expected), against, highest, ended])
     heads = (
-        "trajectory", "m/s", "controller", "options", "seeds", "error", "expected", "difference", "highest", "outcome",
-    )  # fmt: skip
+        "trajectory",
+        "m/s",
+        "controller",
+        "options",
+        "seeds",
+        "error",
+        "expected",
+        "difference",
+        "highest",
+        "outcome",
+    )
     title = "Time average of the position error over the flight (m), mean and half range over seeds; highest point (m)"
     return Table(heads, lines, title, left=frozenset({0, 2, 3, 9})).markdown()
 
@@ -199,7 +208,8 @@ def induced_velocity_figure(flight: Flight, title: str) -> Figure:
 @styled
 def parameter_figure(flights: Sequence[Flight], title: str) -> Figure:
     """Coefficients in use over time, every seed a thin line and their mean a thick one, the truth dashed."""
-    truth, samples = _truth(flights[0]), min(len(flight) for flight in flights)
+    truth = _truth(flights[0])
+    samples = min(len(flight) for flight in flights)
     t = flights[0].t[:samples]
     figure = Figure(figsize=(11.0, 5.2))
     *panels, beside = figure.subplots(2, 3, sharex=True).flat

@@ -23,7 +23,7 @@ well; with gauss_newton the gain is taken from the whole derivative
 
 which removes the bias of C_Dz that results from the partial derivative (and not from the accelerometer's bias).
 
-The step is one CasADi function; `BladeElementRLS` holds the state of the three estimators and clips the values that a
+The step is one CasADi function; `update_function` holds what the three estimators know and clips the values that a
 controller uses: with the paper's P_0 = 50 I and unit noise C_d0 crosses zero while the rotors spin up in nearly half of
 all flights, and the allocation divides by it. Only the values in use are clipped, and every clip is counted; the
 estimators are not affected. With P_0 scaled to the coefficients and the accelerometer's noise (`RLSSettings.scaled`)
@@ -32,27 +32,28 @@ clipping is rarely needed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from quadexp.compile.backend import realise, resolve
-from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
+from quadexp.compile.memory import NEXT, NOW
 from quadexp.compile.symbolic import ca
-from quadexp.errors import UsageError
+from quadexp.names import named
 from quadexp.parts.settings import Settings, key, keyed, part
-from quadexp.physics.blade_element import ADOPTED, aerodynamic_wrench, rotor_flow
-from quadexp.physics.expression import Expression, limited, named_function, named_symbols, symbols
+from quadexp.physics.blade_element import aerodynamic_wrench, rotor_flow
+from quadexp.physics.expression import Expression, limited, named_function, named_symbols
 from quadexp.physics.induced_velocity import balance, safe_newton
 from quadexp.physics.rotor import C_D0, C_DX, C_DY, C_DZ, C_LA, THETA, BladeCoefficients, BladeKeys
 from quadexp.physics.vehicle import Vehicle
 
 SLOWEST = 1.0  # rad/s; samples with a slower rotor are skipped (the advance ratio is not defined there)
-AXES = ((C_D0, C_LA, C_DX), (C_D0, C_LA, C_DY), (C_LA, C_DZ))  # coefficients that the force along x, y, z depends on
+# Axis -> coefficients that the force along it depends on.
+AXES = {"x": (C_D0, C_LA, C_DX), "y": (C_D0, C_LA, C_DY), "z": (C_LA, C_DZ)}
 INNOVATION_SAMPLES = 10  # time constant, in samples, of the mean square error
-FIRST_WAIT, NEXT_WAIT = 100, 50  # samples without change detection: at the start, and after a detected change
+FIRST_WAIT = 100  # samples without change detection at the start
+NEXT_WAIT = 50  # the same after a detected change
 ITERATIONS = 16  # of the safeguarded Newton method, from its upper bound
 
 
@@ -66,16 +67,19 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
     regressors (3, 5) (m/s^2); weight beta_x.
     """
     n = vehicle.n_rotors
-    v, w, y, used, coefficients = symbols(ca.SX, v=3, w=n, y=3, used=len(THETA), coefficients=len(THETA))
-    sigma, forgetting, lift_weight = symbols(ca.SX, sigma=1, forgetting=1, lift_weight=1)
-    thetas = [ca.SX.sym(f"theta_{a}", len(at)) for a, at in zip("xyz", AXES, strict=True)]
-    covariances = [ca.SX.sym(f"P_{a}", len(at), len(at)) for a, at in zip("xyz", AXES, strict=True)]
-    priors = [ca.SX.sym(f"prior_{a}", len(at)) for a, at in zip("xyz", AXES, strict=True)]
+    shapes: dict[str, Any] = {"v": 3, "w": n, "y": 3, "used": len(THETA)}
+    for axis, at in AXES.items():
+        shapes[f"theta_{axis}"] = len(at)
+        shapes[f"P_{axis}"] = (len(at), len(at))
+        shapes[f"prior_{axis}"] = len(at)
+    inputs = named_symbols(ca.SX, shapes | {"sigma": 1, "forgetting": 1, "lift_weight": 1})
+    v, w, y, used, *_, sigma, forgetting, lift_weight = inputs.values()
+    coefficients = ca.SX.sym("coefficients", len(THETA))
 
     flow = rotor_flow(vehicle, v)
-    equation = balance(vehicle.rotor_geometry, used[C_LA], w, flow.in_plane_squared, flow.axial, ADOPTED)
+    equation = balance(vehicle.rotor_geometry, used[C_LA], w, flow.in_plane_squared, flow.axial)
     induced = ca.SX.sym("V_I", n)
-    force, _ = aerodynamic_wrench(vehicle, coefficients, v, w, induced, terms=ADOPTED)
+    force, _ = aerodynamic_wrench(vehicle, coefficients, v, w, induced)
     regressors = ca.jacobian(force, coefficients) / vehicle.mass
     gain_regressors = regressors
     if gauss_newton:
@@ -86,29 +90,32 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
         [regressors, gain_regressors], [induced], [safe_newton(equation, ITERATIONS)]
     )
 
-    new_thetas, new_covariances, errors = [], [], []
-    for axis, at in enumerate(AXES):
-        phi, direction = regressors[axis, at].T, gain_regressors[axis, at].T
-        theta, P = thetas[axis], covariances[axis]
-        kept = forgetting * ca.DM.eye(len(at)) + (1 - forgetting) * P / ca.repmat(priors[axis], 1, len(at))
-        P = P @ ca.inv_minor(kept)
+    results = {}
+    errors = []
+    for i, (axis, at) in enumerate(AXES.items()):
+        phi = regressors[i, at].T
+        direction = gain_regressors[i, at].T
+        theta = inputs[f"theta_{axis}"]
+        P = inputs[f"P_{axis}"]
+        reset = (1 - forgetting) * P / ca.repmat(inputs[f"prior_{axis}"], 1, len(at))
+        P = P @ ca.inv_minor(forgetting * ca.DM.eye(len(at)) + reset)
         P = (P + P.T) / 2
         spread = P @ direction
         gain = spread / (ca.dot(direction, spread) + sigma**2)
-        errors.append(y[axis] - ca.dot(phi, theta))
-        new_thetas.append(theta + gain * errors[-1])
-        new_covariances.append(P - gain @ spread.T)
+        error = y[i] - ca.dot(phi, theta)
+        errors.append(error)
+        results[f"new_theta_{axis}"] = theta + gain * error
+        results[f"new_P_{axis}"] = P - gain @ spread.T
 
     speed = abs(v[0]) + abs(v[1])
     weight = ca.if_else(speed > 0, abs(v[0]) / (speed + (speed <= 0)), 0.5)
-    raw = _combine(new_thetas, weight, lift_weight)
-    arguments = [v, w, y, used, *thetas, *covariances, *priors, sigma, forgetting, lift_weight]
-    results = [*new_thetas, *new_covariances, raw, ca.vertcat(*errors)]
-    results += [safe_newton(equation, ITERATIONS), ca.densify(regressors), weight]
-    states = [f"{name}_{axis}" for name in ("theta", "P", "prior") for axis in "xyz"]
-    names_in = ["v", "w", "y", "used", *states, "sigma", "forgetting", "lift_weight"]
-    names_out = [*(f"new_{name}" for name in states[:6]), "raw", "error", "induced", "regressors", "weight"]
-    return ca.Function("rls_step", arguments, ca.cse(results), names_in, names_out)
+    thetas = [results[f"new_theta_{axis}"] for axis in AXES]
+    results["raw"] = _combine(thetas, weight, lift_weight)
+    results["error"] = ca.vertcat(*errors)
+    results["induced"] = safe_newton(equation, ITERATIONS)
+    results["regressors"] = ca.densify(regressors)
+    results["weight"] = weight
+    return named_function("rls_step", inputs, named(results, ca.cse([*results.values()])))
 
 
 def _combine(thetas: Sequence[Expression], weight: Expression, lift_weight: Expression) -> Expression:
@@ -166,120 +173,37 @@ class Identification(RLSSettings, BladeKeys):
 
     def update(self, vehicle: Vehicle) -> ca.Function:
         """See update_function."""
-        first, settings = part(BladeCoefficients, self), part(RLSSettings, self)
+        first = part(BladeCoefficients, self)
+        settings = part(RLSSettings, self)
         return update_function(vehicle, first, settings, self.change_threshold)
 
 
-class BladeElementRLS:
-    """Estimator of theta = (C_d0, C_la, C_Dx, C_Dy, C_Dz): `update` at every sample, `reset` at the start of a flight.
+def recursion(
+    vehicle: Vehicle, initial: BladeCoefficients, settings: RLSSettings, samples: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """All samples of a flight, one after another; name -> what is `remembered` after each, and its `error` (k, 3),
+    (k, size) each.
 
-    vehicle: with rotor and thrust coefficient. initial: theta_0 (the paper starts from half of the true values).
-    change_threshold: detects a change of the vehicle: where the mean square error over the last samples exceeds that of
-    the assumed noise by this factor, P = P_0 again. None: never. memory: see `remembered`, what it knows by name.
+    samples: v (k, 3), w (k, n), y (k, 3), see rls_step_function; finite. initial: theta_0 (the paper starts from half
+    of the true values).
     """
+    begin = {NOW + name: value for name, value in remembered(initial, settings).items()}
+    function = update_function(vehicle, initial, settings)
+    count = len(samples["v"])
+    every = function.mapaccum("rls", count, list(begin), [name.replace(NOW, NEXT, 1) for name in begin])
+    results = every.call(begin | {name: values.T for name, values in samples.items()} | {"read": np.ones((1, count))})
+    return {name.removeprefix(NEXT): np.array(values).reshape(-1, count).T for name, values in results.items()}
 
-    def __init__(
-        self, vehicle: Vehicle, initial: BladeCoefficients, settings: RLSSettings | None = None,
-        change_threshold: float | None = None, *, backend: str = "interpreted",
-    ) -> None:  # fmt: skip
-        _ = vehicle.rotor_geometry, vehicle.static_thrust_coefficient  # UsageError where the vehicle has none
-        self.vehicle, self.initial, self.settings = vehicle, initial, settings or RLSSettings()
-        if not (np.isfinite(initial.parameters()).all() and min(initial.parameters()[:2]) > 0):
-            raise UsageError("rls: the initial values of C_d0 and C_la must be positive")
-        function = update_function(vehicle, initial, self.settings, change_threshold)
-        self.memory = Memory("RLS", sizes_of([function]))
-        self._update = connected(realise(function, resolve(backend)), {"read": np.ones(1)}, {}, self.memory)
-        self.lower, self.upper = bounds(initial, self.settings)
-        self.reset()
 
-    def reset(self) -> None:
-        """Restart from the initial values."""
-        self.memory.begin(remembered(self.initial, self.settings))
-        for name in ("error", "regressors", "induced"):
-            self._update.results[name][...] = np.nan
-
-    def update(self, body_velocity: np.ndarray, rotor_speed: np.ndarray, specific_force: np.ndarray) -> np.ndarray:
-        """Update with one sample; returns the values to use, (5,).
-
-        body_velocity: (3,) FLU (m/s). rotor_speed: (n,) (rad/s). specific_force: reading (3,) FLU (m/s^2). All at the
-        same instant, and finite.
-        """
-        arguments = self._update.arguments
-        v, w, y = (arguments[name] for name in ("v", "w", "y"))
-        v[...], w[...], y[...] = body_velocity, rotor_speed, specific_force
-        self._update()
-        self.memory.commit()
-        return self.theta
-
-    @property
-    def theta(self) -> np.ndarray:
-        """Values to use, clipped, (5,)."""
-        return self.memory.of_now["used"].copy()
-
-    @property
-    def raw(self) -> np.ndarray:
-        """Not clipped, (5,)."""
-        return self.memory.of_now["raw"].copy()
-
-    @property
-    def clips(self) -> np.ndarray:
-        """Number of samples on which each was clipped, (5,)."""
-        return self.memory.of_now["clips"].astype(int)
-
-    @property
-    def samples(self) -> int:
-        """Number of updates."""
-        return int(self.memory.of_now["samples"][0])
-
-    @property
-    def skipped(self) -> int:
-        """Number of samples with a stopped rotor."""
-        return int(self.memory.of_now["skipped"][0])
-
-    @property
-    def weight(self) -> float:
-        """beta_x of the last sample."""
-        return float(self.memory.of_now["weight"][0])
-
-    @property
-    def error(self) -> np.ndarray:
-        """Of the last sample, before the update, (3,) (m/s^2)."""
-        return self._update.results["error"].copy()
-
-    @property
-    def regressors(self) -> np.ndarray:
-        """Of the last sample, (3, 5) (m/s^2)."""
-        return self._update.results["regressors"].T.copy()
-
-    @property
-    def induced_velocity(self) -> np.ndarray:
-        """Of the last sample, (n,) (m/s)."""
-        return self._update.results["induced"].copy()
-
-    @property
-    def coefficients(self) -> BladeCoefficients:
-        """The values to use."""
-        return BladeCoefficients.from_parameters(self.theta)
-
-    @property
-    def axis_theta(self) -> tuple[np.ndarray, ...]:
-        """Estimates of the axes: x (C_d0, C_la, C_Dx), y (C_d0, C_la, C_Dy), z (C_la, C_Dz)."""
-        return tuple(self.memory.of_now[f"theta_{axis}"].copy() for axis in "xyz")
-
-    @property
-    def covariance(self) -> tuple[np.ndarray, ...]:
-        """P of the axes, in the order of `axis_theta`: the estimates' covariance where sigma is the true noise."""
-        kept = self.memory.of_now
-        return tuple(kept[f"P_{axis}"].reshape(len(at), len(at)).copy() for axis, at in zip("xyz", AXES, strict=True))
-
-    def standard_error(self) -> np.ndarray:
-        """Standard errors of `raw`, (5,), where the readings have the assumed deviation."""
-        P_x, P_y, P_z = self.covariance
-        b, c = self.weight, self.settings.lift_weight
-        horizontal = b**2 * P_x + (1 - b) ** 2 * P_y
-        lift = c**2 * P_z[0, 0] + (1 - c) ** 2 * horizontal[1, 1]
-        variance = [horizontal[0, 0], lift, P_x[2, 2], P_y[2, 2], P_z[1, 1]]
-        return np.sqrt(np.maximum(variance, 0.0))
+def standard_errors(kept: Mapping[str, np.ndarray], settings: RLSSettings) -> np.ndarray:
+    """Standard errors of `raw`, (k, 5), where the readings have the assumed deviation. kept: of `recursion`."""
+    P_x, P_y, P_z = (kept[f"P_{axis}"].reshape(-1, len(at), len(at)) for axis, at in AXES.items())
+    b = kept["weight"][:, :, None]
+    c = settings.lift_weight
+    horizontal = b**2 * P_x + (1 - b) ** 2 * P_y
+    lift = c**2 * P_z[:, 0, 0] + (1 - c) ** 2 * horizontal[:, 1, 1]
+    variance = np.stack([horizontal[:, 0, 0], lift, P_x[:, 2, 2], P_y[:, 2, 2], P_z[:, 1, 1]], axis=1)
+    return np.sqrt(np.maximum(variance, 0.0))
 
 
 def bounds(initial: BladeCoefficients, settings: RLSSettings) -> tuple[np.ndarray, np.ndarray]:
@@ -301,10 +225,12 @@ def remembered(initial: BladeCoefficients, settings: RLSSettings) -> dict[str, n
     was clipped; numbers of updates, and of samples with a stopped rotor; beta_x; mean square error over that of the
     noise, samples until a change may be found, and changes so far."""
     theta = initial.parameters()
-    kept = {f"theta_{axis}": theta[list(at)] for axis, at in zip("xyz", AXES, strict=True)}
-    kept |= {f"P_{axis}": np.diag(spread(initial, settings, at)).ravel() for axis, at in zip("xyz", AXES, strict=True)}
+    kept = {f"theta_{axis}": theta[list(at)] for axis, at in AXES.items()}
+    kept |= {f"P_{axis}": np.diag(spread(initial, settings, at)).ravel() for axis, at in AXES.items()}
     used = np.clip(theta, *bounds(initial, settings)) if settings.clip else theta
-    kept |= {"raw": theta, "used": used, "clips": 1.0 * (used != theta)}
+    kept["raw"] = theta
+    kept["used"] = used
+    kept["clips"] = 1.0 * (used != theta)
     ones = {"samples": 0, "skipped": 0, "weight": 0.5, "innovation": 1, "wait": FIRST_WAIT, "reopened": 0}
     return kept | {name: np.array([float(value)]) for name, value in ones.items()}
 
@@ -320,24 +246,28 @@ def update_function(
     a = named_symbols(ca.MX, shapes)
     kept = {name: a[NOW + name] for name in start}
     arguments: dict[str, Any] = {name: a[name] for name in ("v", "w", "y")} | {"used": kept["used"]}
-    for axis, at in zip("xyz", AXES, strict=True):
-        arguments[f"theta_{axis}"], arguments[f"P_{axis}"] = (
-            kept[f"theta_{axis}"],
-            ca.reshape(kept[f"P_{axis}"], len(at), -1),
-        )
+    for axis, at in AXES.items():
+        arguments[f"theta_{axis}"] = kept[f"theta_{axis}"]
+        arguments[f"P_{axis}"] = ca.reshape(kept[f"P_{axis}"], len(at), -1)
         arguments[f"prior_{axis}"] = spread(initial, settings, at)
-    arguments |= {"sigma": settings.noise, "forgetting": settings.forgetting, "lift_weight": settings.lift_weight}
+    arguments["sigma"] = settings.noise
+    arguments["forgetting"] = settings.forgetting
+    arguments["lift_weight"] = settings.lift_weight
     step = rls_step_function(vehicle, gauss_newton=settings.gauss_newton).call(arguments)
     next_values = {name: step[f"new_{name}"] for name in kept if f"new_{name}" in step}
     used = limited(step["raw"], *map(ca.DM, bounds(initial, settings))) if settings.clip else step["raw"]
-    next_values |= {"raw": step["raw"], "used": used, "clips": kept["clips"] + (used != step["raw"])}
-    next_values |= {"samples": kept["samples"] + 1, "weight": step["weight"]}
+    next_values["raw"] = step["raw"]
+    next_values["used"] = used
+    next_values["clips"] = kept["clips"] + (used != step["raw"])
+    next_values["samples"] = kept["samples"] + 1
+    next_values["weight"] = step["weight"]
     if change_threshold is not None:
         square = ca.sumsqr(step["error"] / settings.noise) / 3
         innovation = kept["innovation"] + (square - kept["innovation"]) / INNOVATION_SAMPLES
         wait = kept["wait"] - 1
         changed = ca.logic_and(wait <= 0, innovation > change_threshold)
-        next_values |= {"innovation": innovation, "wait": ca.if_else(changed, NEXT_WAIT, wait)}
+        next_values["innovation"] = innovation
+        next_values["wait"] = ca.if_else(changed, NEXT_WAIT, wait)
         next_values["reopened"] = kept["reopened"] + changed
         for axis in "xyz":
             next_values[f"P_{axis}"] = ca.if_else(changed, start[f"P_{axis}"], ca.vec(next_values[f"P_{axis}"]))

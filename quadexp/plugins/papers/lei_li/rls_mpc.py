@@ -45,7 +45,8 @@ class IdentifyingController(PredictiveController):
 
     def __init__(self, mpc: ModelPredictiveController, rls: Identification, reference_period: float) -> None:
         super().__init__(mpc)
-        self.rls, self.reference_period = rls, reference_period
+        self.rls = rls
+        self.reference_period = reference_period
         self._believed = mpc.residual
         self._identify = cached_function(mpc.backend, in_flight, rls, mpc.vehicle)
         self.memory = Memory("Identification", sizes_of([self._identify]) | {"sent": mpc.vehicle.n_rotors})
@@ -62,7 +63,9 @@ class IdentifyingController(PredictiveController):
         """The model with the newest coefficients; the same object while no change exceeds NOTABLE."""
         if np.any(np.abs(self.theta - self._believed.theta) > NOTABLE):
             self._believed = replace(self._believed, theta=self.theta.copy())
-        return self._believed if self.settings.feedforward else None
+        if self.settings.feedforward:
+            return self._believed
+        return None
 
     def forget(self) -> None:
         """See Controller.forget."""
@@ -82,7 +85,8 @@ class IdentifyingController(PredictiveController):
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step."""
-        step, kept = super().control_step(inputs, state), self.memory.of_next
+        step = super().control_step(inputs, state)
+        kept = self.memory.of_next
         clips = np.zeros(1)
         identify = call(connected(self._identify, places_of(inputs, state), {"clips": clips}, self.memory))
         calls = [identify, copy(self.mpc.parameters.reshape(-1), kept["used"])]
@@ -122,7 +126,9 @@ class RLSMPC(PredictivePart):
 def in_flight(rls: Identification, vehicle: Vehicle) -> ca.Function:
     """Identification as a call: rotor speeds that are not measured are replaced by the commanded ones."""
     inputs = Inputs(vehicle, Circumstances(0.0), ca.MX)
-    kept = {name: inputs.symbol(NOW + name, (values.size, 1)) for name, values in rls.remembered.items()}
+    kept = {}
+    for name, values in rls.remembered.items():
+        kept[name] = inputs.symbol(NOW + name, (values.size, 1))
     read, turning = ca.vertsplit(inputs.fresh)
     sent = inputs.symbol(f"{NOW}sent", (vehicle.n_rotors, 1))
     commanded = ca.sqrt(ca.fmax(sent, 0) / vehicle.static_thrust_coefficient)

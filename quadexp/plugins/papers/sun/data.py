@@ -34,7 +34,8 @@ class Ellipse:
     def thrust(self, mass: float) -> float:
         """Largest collective thrust that it takes of a mass (kg) without drag (N)."""
         angle = np.linspace(0, 2 * np.pi, 721)
-        along, across = self.acceleration * np.sin(angle), self.acceleration / self.ratio * np.cos(angle)
+        along = self.acceleration * np.sin(angle)
+        across = self.acceleration / self.ratio * np.cos(angle)
         if self.plane == "horizontal":
             return float(mass * np.sqrt(along**2 + across**2 + GRAVITY**2).max())
         return float(mass * np.sqrt(along**2 + (across - GRAVITY) ** 2).max())

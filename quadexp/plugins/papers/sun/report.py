@@ -16,7 +16,7 @@ the instant of the reference and the command that are recorded with it:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,12 +35,14 @@ from quadexp.plugins.page.view import Axis, Place, View
 from quadexp.plugins.papers.sun.data import CRASHED, FLIGHTS, INFEASIBLE, Ellipse, Published, ellipses, published
 from quadexp.reference.ellipse import Ellipse as ReferenceEllipse
 from quadexp.report.inference import holm, mean_interval, paired_permutation
-from quadexp.report.pairing import grouped
+from quadexp.report.pairing import Row, Rows, grouped
+from quadexp.report.paper import Drawn
 from quadexp.report.paper_cells import Point
 from quadexp.report.style import Figure
 from quadexp.report.table import Table
 
-MASS, THRUST = 0.75, 4 * 8.5  # kg, N, of the vehicle
+MASS = 0.75  # kg, of the vehicle
+THRUST = 4 * 8.5  # N, likewise
 DEFAULTS = {"acceleration": 20.0, "ratio": 1.0}  # of an ellipse, where a sweep does not vary it
 OFF = 2.0  # m of RMSE; a flight that is further off is not flown, although it stays inside the box
 RECORDED_AFTER = 2 / 500  # s: the first instant of their simulation not before the end of a period of 1/300 s
@@ -70,11 +72,10 @@ TITLES = {
 }
 WEAKER = {"sun_mass_30": (1.3, 1.0), "sun_ct_minus_30": (1.0, 0.7)}  # world -> factors on mass and on thrust
 INFEASIBLE_SET = "sun_baseline, infeasible"  # as a world: the ideal case of the infeasible ellipses
-OURS, KNOWN_AGE = "sun_mpc", "+strapdown"  # the controller others are compared with; late rows have it, others need not
+OURS = "sun_mpc"  # the controller others are compared with
+KNOWN_AGE = "+strapdown"  # late rows have it, others need not
 SENSOR = ",sensor="  # behind a world's name: sensors that are not exact
 PUBLISHED = ("sun_nmpc", "sun_dfbc", "sun_nmpc+indi", "sun_dfbc+indi")
-
-Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -118,10 +119,18 @@ class Condition:
         numbers += [int(could.sum()), int((lost & could).sum()), _mean(position[~lost & could])]
         return cls(*numbers)
 
+    @property
+    def texts(self) -> list[str]:
+        """Position, the same as logged, heading, and how many are lost or off."""
+        lost = f"{self.lost} + {self.off}" if self.off else str(self.lost)
+        return [_with_sd(self.position, 3), _with_sd(self.logged, 3), _with_sd(self.heading, 1), lost]
+
 
 def _mean(values: np.ndarray) -> float:
     """NaN without values."""
-    return float(values.mean()) if len(values) else math.nan
+    if len(values):
+        return float(values.mean())
+    return math.nan
 
 
 def _possible(row: Row) -> bool:
@@ -140,13 +149,17 @@ def _ellipse(row: Row) -> Ellipse:
 
 def _world(row: Row) -> str:
     world = str(row["plant"].partition("/")[2]).partition(SENSOR)[0]
-    return world if world != "sun_baseline" or _ellipse(row).feasible else INFEASIBLE_SET
+    if world != "sun_baseline" or _ellipse(row).feasible:
+        return world
+    return INFEASIBLE_SET
 
 
 def _flown_by(row: Row) -> str:
     """The controller with its remedies, and its sensors where they are not exact."""
     sensor = str(row["plant"]).partition(SENSOR)[2]
-    return f"{row['controller']}, {sensor} sensors" if sensor else str(row["controller"])
+    if sensor:
+        return f"{row['controller']}, {sensor} sensors"
+    return str(row["controller"])
 
 
 def conditions(rows: Iterable[Row]) -> dict[str, dict[str, Condition]]:
@@ -169,7 +182,9 @@ def reproduced(mean: float, survivors: float, printed: Published) -> str:
         return ""
     if abs(mean / printed.position - 1) <= CLOSE:
         return "yes"
-    return "crashes" if abs(survivors / printed.survivors - 1) <= CLOSE else "no"
+    if abs(survivors / printed.survivors - 1) <= CLOSE:
+        return "crashes"
+    return "no"
 
 
 def logged_rmse(flight: Flight) -> float:
@@ -177,7 +192,10 @@ def logged_rmse(flight: Flight) -> float:
     if not len(flight):
         return math.nan
     config = flight.metadata["config"]
-    stated = {name: value for name, value in config["trajectory"].items() if name in declared(ReferenceEllipse)}
+    stated = {}
+    for name, value in config["trajectory"].items():
+        if name in declared(ReferenceEllipse):
+            stated[name] = value
     late = config.get("estimator", {}).get("delay", 0.0)
     t = np.maximum(flight.t + late - RECORDED_AFTER, 0.0)  # of the reference with which this position is recorded
     error = flight.state[:, POSITION] - ReferenceEllipse(**stated).flat_output(t).position[:, 0]
@@ -193,7 +211,7 @@ def with_logged(rows: Iterable[Row], out: str | Path) -> list[dict[str, Any]]:
     ]
 
 
-def draw(rows: Sequence[Row], out: Path) -> tuple[dict[str, str], dict[str, Figure]]:
+def draw(rows: Rows, out: Path) -> Drawn:
     """Tables and figure of a sweep."""
     flown = conditions(with_logged(rows, out))
     texts = [sun_table(flown), *(table.markdown() for table in [compared(rows)] if table.rows)]
@@ -252,12 +270,11 @@ def overview(rows: Iterable[Row]) -> Table:
 
 
 def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
-    printed, lines = published(), []
+    printed = published()
+    lines = []
     verdicts: dict[str, list[str]] = {"true position": [], "as logged": []}
     for world, ours in worlds.items():
-        errors = [_with_sd(ours.position, 3), _with_sd(ours.logged, 3), _with_sd(ours.heading, 1)]
-        lost = f"{ours.lost} + {ours.off}" if ours.off else str(ours.lost)
-        line = [TITLES.get(world, world), *errors, lost, _number(ours.survivors, 3)]
+        line = [TITLES.get(world, world), *ours.texts, _number(ours.survivors, 3)]
         beside = [""] * 6
         if (theirs := printed.get((world, name))) is not None:
             verdicts["true position"].append(reproduced(ours.position[0], ours.survivors, theirs))
@@ -269,11 +286,24 @@ def _beside(name: str, worlds: Mapping[str, Condition]) -> str:
             beside += [str(theirs.lost), _number(theirs.survivors, 3), *(texts[-1] for texts in verdicts.values())]
         lines.append(line + beside)
     heads = (
-        "condition", "position (m)", "as logged (m)", "heading (deg)", "lost + > 2 m", "survivors (m)",
-        "printed position (m)", "printed heading (deg)", "printed lost", "printed survivors (m)", "reproduced",
+        "condition",
+        "position (m)",
+        "as logged (m)",
+        "heading (deg)",
+        "lost + > 2 m",
+        "survivors (m)",
+        "printed position (m)",
+        "printed heading (deg)",
+        "printed lost",
+        "printed survivors (m)",
+        "reproduced",
         "as logged",
-    )  # fmt: skip
-    notes = [_verdict(title, texts) for title, texts in verdicts.items() if texts]
+    )
+    notes = []
+    for title, texts in verdicts.items():
+        if texts:
+            counts = ", ".join(f"{word} {texts.count(word)}" for word in ("yes", "crashes", "no"))
+            notes.append(f"Mean position within {CLOSE:.0%} of the printed one, {title}: {counts} of {len(texts)}")
     flights = ", ".join(str(number) for number in sorted({condition.flights for condition in worlds.values()}))
     title = f"{name}: mean (SD) over {flights} flights of the RMSE; a lost flight counts {CRASHED[0]:g} m"
     return Table(heads, lines, title, notes=[*notes, *_apart(name, worlds)]).markdown()
@@ -286,15 +316,23 @@ def _against_best(name: str, worlds: Mapping[str, Condition]) -> str:
         best[world] = min(theirs.position, best.get(world, math.inf))
     lines = []
     for world, ours in worlds.items():
-        lost = f"{ours.lost} + {ours.off}" if ours.off else str(ours.lost)
         possible = f"{_number(ours.possible_position, 3)} ({ours.possible})" if ours.possible < ours.flights else ""
-        below = ["yes" if error[0] < best.get(world, -math.inf) else "no" for error in (ours.position, ours.logged)]
-        errors = [_with_sd(ours.position, 3), _with_sd(ours.logged, 3), _with_sd(ours.heading, 1), lost, possible]
-        lines.append([TITLES.get(world, world), *errors, _number(best.get(world, math.nan), 3), *below])
+        below = []
+        for error in (ours.position, ours.logged):
+            below.append("yes" if error[0] < best.get(world, -math.inf) else "no")
+        printed = _number(best.get(world, math.nan), 3)
+        lines.append([TITLES.get(world, world), *ours.texts, possible, printed, *below])
     heads = (
-        "condition", "position (m)", "as logged (m)", "heading (deg)", "lost + > 2 m", "possible (m, flights)",
-        "best printed (m)", "below", "as logged",
-    )  # fmt: skip
+        "condition",
+        "position (m)",
+        "as logged (m)",
+        "heading (deg)",
+        "lost + > 2 m",
+        "possible (m, flights)",
+        "best printed (m)",
+        "below",
+        "as logged",
+    )
     return Table(heads, lines, f"{name}: mean (SD) over the flights, beside the best mean printed").markdown()
 
 
@@ -307,7 +345,8 @@ def _apart(name: str, worlds: Mapping[str, Condition]) -> list[str]:
         if condition.possible < condition.flights
     ]
     if INFEASIBLE_SET in worlds and name in INFEASIBLE:
-        ours, (position, heading) = worlds[INFEASIBLE_SET], INFEASIBLE[name]
+        ours = worlds[INFEASIBLE_SET]
+        (position, heading) = INFEASIBLE[name]
         lines.append(
             f"Infeasible ellipses, flights that did not crash: {ours.survivors:.3f} m, {ours.survivors_heading:.1f}"
             f" degrees; printed {position:.2f} m, {heading:.1f} degrees"
@@ -315,17 +354,12 @@ def _apart(name: str, worlds: Mapping[str, Condition]) -> list[str]:
     return lines
 
 
-def _verdict(title: str, verdicts: Sequence[str]) -> str:
-    counts = ", ".join(f"{word} {verdicts.count(word)}" for word in ("yes", "crashes", "no"))
-    return f"Mean position within {CLOSE:.0%} of the printed one, {title}: {counts} of {len(verdicts)}"
-
-
 def _all(flown: Mapping[str, Mapping[str, Condition]]) -> Table:
     """All controllers: mean of the flights that did not crash, and how many did or are more than OFF m away."""
     worlds = _in_order({world: None for by_world in flown.values() for world in by_world})
-    lines = [
-        [TITLES.get(world, world), *(_short(by_world.get(world)) for by_world in flown.values())] for world in worlds
-    ]
+    lines = []
+    for world in worlds:
+        lines.append([TITLES.get(world, world), *(_short(by_world.get(world)) for by_world in flown.values())])
     title = "RMSE of the flights that did not crash (m); in brackets how many crashed + how many others are off by 2 m"
     return Table(["condition", *flown], lines, title)
 
@@ -334,7 +368,9 @@ def _short(condition: Condition | None) -> str:
     if condition is None:
         return ""
     text = _number(condition.survivors, 3)
-    return f"{text} ({condition.lost}+{condition.off})" if condition.lost or condition.off else text
+    if condition.lost or condition.off:
+        return f"{text} ({condition.lost}+{condition.off})"
+    return text
 
 
 def _with_sd(values: tuple[float, float], digits: int) -> str:
@@ -342,7 +378,9 @@ def _with_sd(values: tuple[float, float], digits: int) -> str:
 
 
 def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if np.isfinite(value) else "-"
+    if np.isfinite(value):
+        return f"{value:.{digits}f}"
+    return "-"
 
 
 def sun_figure(flown: Mapping[str, Mapping[str, Condition]]) -> Figure:

@@ -49,9 +49,15 @@ def prediction(vehicle: Vehicle, residual: Residual, parts: int, commands: int) 
     n = vehicle.n_rotors
     model = corrected_function(vehicle, residual)
     shapes = {"x": N_STATE, "commands": (n, commands), "weights": (commands, parts), "dt": parts}
-    shapes |= {"theta": residual.function.size1_in(1), "wind": 3, "push": 6, "scale": 1}
+    shapes["theta"] = residual.function.size1_in(1)
+    shapes["wind"] = 3
+    shapes["push"] = 6
+    shapes["scale"] = 1
     arguments = named_symbols(ca.MX, shapes)
-    x, dt, theta, wind = (arguments[name] for name in ("x", "dt", "theta", "wind"))
+    x = arguments["x"]
+    dt = arguments["dt"]
+    theta = arguments["theta"]
+    wind = arguments["wind"]
     pushed = ca.vertcat(wind, ca.MX(4, 1), arguments["push"])
     thrusts = arguments["scale"] * (arguments["commands"] @ arguments["weights"])
 
@@ -91,14 +97,16 @@ class Prediction(KnownDelay):
 
     def before(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """The prediction. Until `time` has passed since the start, the measured state is that of the start."""
-        about, residual = inputs.about, inputs.residual or no_residual(vehicle)
+        about = inputs.about
+        residual = inputs.residual or no_residual(vehicle)
         if not (parts := self._parts(about)):
             return {}
         elapsed = memory.since * about.period
         late = ca.fmin(self.time, elapsed)
         begun = self._times(about, parts, self.time)
         times = ca.if_else(elapsed < self.time, self._times(about, parts, late), begun, True)
-        dt, weights = times[:parts], ca.reshape(times[parts:], -1, parts)
+        dt = times[:parts]
+        weights = ca.reshape(times[parts:], -1, parts)
         commands = ca.vertcat(memory.commands[vehicle.n_rotors :], memory.sent)
         force, torque, wind, scale, _ = ca.vertsplit(memory.believed, [0, 3, 6, 9, 10, 11])
         push = ca.vertcat(force / vehicle.mass, ca.inv(ca.DM(vehicle.inertia_matrix)) @ torque)
@@ -155,7 +163,9 @@ class Predicting(Layer):
 
     def inside(self, inputs: InputArrays) -> list[Call]:
         """See Layer: the reference of the time at which a command of now begins to act."""
-        return [python(lambda: inputs.set_reference(self._later(inputs.window)))] if self.about.ahead else []
+        if self.about.ahead:
+            return [python(lambda: inputs.set_reference(self._later(inputs.window)))]
+        return []
 
     def _later(self, window: Window) -> Window:
         """The reference then; states and inputs are asked for then."""

@@ -23,7 +23,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.inputs import Circumstances, Inputs
 from quadexp.control.layer import Layer, LayerPart
 from quadexp.parts.settings import key, keyed
-from quadexp.physics.expression import symbols, unit
+from quadexp.physics.expression import named_function, named_symbols, unit
 from quadexp.physics.rotation import along_z, exponential, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -54,11 +54,13 @@ class Strapdown(KnownDelay):
     def before(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """The propagation. Until `time` has passed since the start, the measured state is that of the start; the first
         force that is read counts for those before it, and where none is read the last one goes on."""
-        periods, read = self._periods(inputs), inputs.fresh[0]
+        periods = self._periods(inputs)
+        read = inputs.fresh[0]
         if not periods:
             return {}
         weight = ca.DM([0, 0, vehicle.gravity])
-        rate, force = inputs.state[RATE], ca.if_else(read, inputs.specific_force, memory.forces[-3:])
+        rate = inputs.state[RATE]
+        force = ca.if_else(read, inputs.specific_force, memory.forces[-3:])
         flown = ca.fmax(memory.flown, read)
         begins = ca.logic_and(read, ca.logic_not(memory.read))
         rates = ca.if_else(flown, _shifted(memory.rates, rate), _filled(rate, periods))
@@ -96,8 +98,12 @@ def propagation(periods: int, gravity: float, period: float) -> ca.Function:
     Inputs: x (13,), its rate unused; rates (3, K + 1) (rad/s) and forces (3, K + 1) (m/s^2), body, the last ones of
     now; late, at most K periods. Output: now (13,), with the rate of now.
     """
-    x, late, rates, forces = symbols(ca.SX, x=N_STATE, late=1, rates=(3, periods + 1), forces=(3, periods + 1))
-    p, q, v = x[POSITION], x[ATTITUDE], x[VELOCITY]
+    readings = (3, periods + 1)
+    inputs = named_symbols(ca.SX, {"x": N_STATE, "rates": readings, "forces": readings, "late": 1})
+    x, rates, forces, late = inputs.values()
+    p = x[POSITION]
+    q = x[ATTITUDE]
+    v = x[VELOCITY]
     for j in range(periods):
         h = ca.fmax(ca.fmin(late - (periods - 1 - j) * period, period), 0)
         before = 1 - h / period  # share of the period that is older than the state
@@ -112,7 +118,7 @@ def propagation(periods: int, gravity: float, period: float) -> ca.Function:
         v = v + h * (a[0] + 4 * a[1] + a[2]) / 6
         q = product(q, exponential(_turn(w[0], w[2], h)))
     now = ca.vertcat(p, unit(q), v, rates[:, -1])
-    return ca.Function("strapdown", [x, rates, forces, late], [now], ["x", "rates", "forces", "late"], ["now"])
+    return named_function("strapdown", inputs, {"now": now})
 
 
 def _turn(first: ca.SX, last: ca.SX, duration: ca.SX) -> ca.SX:

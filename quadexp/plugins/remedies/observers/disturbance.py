@@ -49,7 +49,7 @@ from quadexp.plugins.remedies.observers.filters import (
 from quadexp.plugins.remedies.observers.observer import ObserverPart, arguments, believer
 
 N_FORCE_STATE = 7  # a^, v^, P
-N_FORCE_SETTINGS = 9  # numbers of `settings`
+N_FORCE_SETTINGS = 8  # numbers of `settings`
 
 
 def disturbance_function(
@@ -57,33 +57,45 @@ def disturbance_function(
 ) -> ca.Function:
     """The update of plugins.remedies.observers.observer; s = [a^ (3,), v^ (3,), P, w^ (3,), J^-1 tau^ (3,)]; with
     scales, see plugins.remedies.observers.filters, [a, k, c, P (5, 5), e^ (3,), w^, J^-1 tau^]."""
-    model, period = (residual.unscaled or residual).form(about.compiled), about.period
+    model = (residual.unscaled or residual).form(about.compiled)
+    period = about.period
     first = N_SCALED_STATE if scaled else N_FORCE_STATE
     a = arguments(vehicle, first + N_TORQUE_STATE, len(residual.theta), N_FORCE_SETTINGS + N_TORQUE_SETTINGS)
-    x, s, settings = a["x"], a["s"], a["settings"]
-    R, thrust = rotation_matrix(x[ATTITUDE]), ca.sum1(a["thrust"]) / vehicle.mass
+    x = a["x"]
+    s = a["s"]
+    settings = a["settings"]
+    R = rotation_matrix(x[ATTITUDE])
+    thrust = ca.sum1(a["thrust"]) / vehicle.mass
     y, slope = model(body_features(x, a["thrust"]), a["theta"][: model.size1_in(1)])
     y = ca.densify(y)
-    force, estimate, P, scale, air = s[:3], s[3:6], s[6], ca.MX(1), ca.MX(1)
-    q, r, for_v, for_a, limit, scale_walk, air_walk, for_rest, doubt = ca.vertsplit(settings[:N_FORCE_SETTINGS])
+    force = s[:3]
+    estimate = s[3:6]
+    P = s[6]
+    scale = ca.MX(1)
+    air = ca.MX(1)
+    q, r, for_v, for_a, limit, scale_walk, air_walk, for_rest = ca.vertsplit(settings[:N_FORCE_SETTINGS])
     known = along_z(thrust) + y[:3]
     if scaled:
         by_scale = along_z(thrust) + ca.densify(slope)[:3, 6:] @ a["thrust"]
-        unexplained, turned = R @ (a["reading"] - known), R @ by_scale
-        drag, walks = R @ y[:3], ca.vertcat(q, scale_walk, air_walk)
-        scaled_state, P, rest = scaled_force_update(
-            s[:first], unexplained, turned, drag, walks, r, for_rest, doubt, a["read"]
-        )
-        force, scale, air = scaled_state[:3] + rest, 1 + scaled_state[3], 1 + scaled_state[4]
+        unexplained = R @ (a["reading"] - known)
+        turned = R @ by_scale
+        drag = R @ y[:3]
+        walks = ca.vertcat(q, scale_walk, air_walk)
+        scaled_state, P, rest = scaled_force_update(s[:first], unexplained, turned, drag, walks, r, for_rest, a["read"])
+        force = scaled_state[:3] + rest
+        scale = 1 + scaled_state[3]
+        air = 1 + scaled_state[4]
     elif velocity:
         mean = along_z(ca.sum1(a["mean"]) / vehicle.mass) + y[:3]
         predicted = estimate + period * (R @ mean + along_z(-vehicle.gravity) + force)
         error = x[VELOCITY] - predicted
-        force, estimate = force + for_a * error, predicted + for_v * error
+        force = force + for_a * error
+        estimate = predicted + for_v * error
     else:
         P = P + q
         gain = a["read"] * P / (P + r)
-        force, P = force + gain * (R @ (a["reading"] - known) - force), (1 - gain) * P
+        force = force + gain * (R @ (a["reading"] - known) - force)
+        P = (1 - gain) * P
     size = ca.sqrt(ca.sumsqr(force) + 1e-30)
     force = force * ca.fmin(1, limit / size)
     rates, torque = torque_update(
@@ -123,7 +135,6 @@ class DisturbanceObserver(ObserverPart):
     scale_initial: float = key(
         0.3, "standard deviation of the thrust scale when a flight begins", "[0, 1]", when="scale_walk"
     )
-    thrust_noise: float = key(0.0, "relative standard deviation of the thrust that is measured", "[0, 1]")
     air_walk: float = key(0.0, "likewise of the scale of the air's force; 0: not estimated", "[0, 10]")
     air_initial: float = key(
         1.0, "standard deviation of the air's scale when a flight begins", "[0, 10]", when="air_walk"
@@ -156,14 +167,14 @@ class DisturbanceObserver(ObserverPart):
 
     def settings(self, period: float) -> np.ndarray:
         """See ObserverPart: [q, r, gain on v^, gain on a^ from v, limit, variances that the scales of thrust and air
-        gain in a step, gain of what the filter of the scales leaves, relative variance of the thrust] and those of the
-        torque."""
-        z, r = float(np.exp(-self.force_bandwidth * period)), self.force_noise**2
+        gain in a step, gain of what the filter of the scales leaves] and those of the torque."""
+        z = float(np.exp(-self.force_bandwidth * period))
+        r = self.force_noise**2
         apart = min(self.force_bandwidth, APART) if self.scaled else self.force_bandwidth
         K = 1 - float(np.exp(-apart * period))
         force = [r * K**2 / (1 - K), r, 1 - z * z, (1 - z) ** 2 / period, self.force_limit]
         force += [self.scale_walk**2 * period, self.air_walk**2 * period]
-        force += [1 - z if apart < self.force_bandwidth else 0.0, self.thrust_noise**2]
+        force += [1 - z if apart < self.force_bandwidth else 0.0]
         return np.array(force + torque_settings(self.torque_bandwidth, self.torque_limit, period))
 
     def begin(self, x: np.ndarray) -> np.ndarray:

@@ -22,10 +22,6 @@ known, and it is shared by how much each is thought to change (P).
 A force that sets in at once is no random walk, and is not to be learned as a scale: where the innovation nu is beyond
 what is expected, nu' S^-1 nu > SURPRISE^2, the scales follow it that much less. P is that of the gain in use.
 
-Noise of the thrust, of relative variance n, is in y and, the other way round, in h: K (y - H x) contains on average
--P e_k n (1 + k) h' S^-1 h, which would pull k towards -1 where little else moves h. It is added back,
-to first order, the less, the higher k is: a noise that is stated too high would have it run away.
-
 However fast the estimated force is, the filter assumes one of APART at most: a faster one takes the noise of the
 readings for forces, the controller answers them with thrust, and what it answered with is taken for a scale. What the
 filter leaves of y goes through a low pass of the whole bandwidth, e^ += gain (y - H [a, k, c] - e^); a^ + e^ is given.
@@ -66,7 +62,8 @@ def torque_update(
     inertia = ca.DM(vehicle.inertia_matrix)
     known = vehicle.allocation[1:] @ mean + air_torque - ca.cross(w, inertia @ w)
     predicted = s[:3] + period * (ca.inv(inertia) @ known + s[3:])
-    error, limit = w - predicted, settings[2]
+    error = w - predicted
+    limit = settings[2]
     spin = limited(s[3:] + settings[1] * error, -limit, limit)
     return ca.vertcat(predicted + settings[0] * error, spin), inertia @ spin
 
@@ -76,8 +73,8 @@ N_SCALED_STATE = N_SCALED + N_SCALED**2 + 3  # [a, k, c], P, e^
 APART = 25.0  # rad/s
 SCALES = (-0.5, 1.0)  # limits of k
 AIR_SCALES = (-1.0, 4.0)  # of c
+STATED = 0.3  # scale above which `auto` no longer makes good the stated noise of the thrust
 SURPRISE = 4.0  # deviations: 1 in 16,000 of normal innovations of one axis
-STATED = 0.3  # scale above which the stated noise of the thrust is no longer made good
 
 
 def scaled_force_update(
@@ -88,13 +85,12 @@ def scaled_force_update(
     walks: Expression,
     noise: Expression,
     gain: Expression,
-    doubt: Expression,
     read: Expression = 1,
 ) -> tuple[Expression, Expression, Expression]:
     """[a (m/s^2), k, c], (5,), P, (25,), and e^, (3,).
 
     s: the three of the last step. y, h, g: (3,), world (m/s^2). walks: variances that a, k and c gain in a step, (3,).
-    noise: variance r of a reading. gain: of the low pass. doubt: n, relative variance of the thrust.
+    noise: variance r of a reading. gain: of the low pass.
     read: whether there is a reading; 0: a prediction alone.
     """
     estimate, P, fast = ca.vertsplit(s, [0, N_SCALED, N_SCALED + N_SCALED**2, N_SCALED_STATE])
@@ -102,16 +98,17 @@ def scaled_force_update(
     P = P + ca.diag(ca.vertcat(walks[0], walks[0], walks))
     H = ca.horzcat(ca.DM.eye(3), h, g)
     S = H @ P @ H.T + noise * ca.DM.eye(3)
-    inverted, error = inverse(S), y - H @ estimate
+    inverted = inverse(S)
+    error = y - H @ estimate
     surprise = error.T @ inverted @ error
     trust = ca.fmin(1, SURPRISE / ca.sqrt(surprise + 1e-12))
     K = read * (ca.diag(ca.vertcat(1, 1, 1, trust, trust)) @ P @ H.T @ inverted)
-    sure = ca.fmin(1, ca.fmax(0, 1 - estimate[3] / STATED))
-    mended = read * sure * doubt * (1 + estimate[3]) * (h.T @ inverted @ h) * P[:, 3]
-    estimate = estimate + K @ error + ca.vertcat(1, 1, 1, trust, trust) * mended
+    estimate = estimate + K @ error
     reduction = ca.DM.eye(N_SCALED) - K @ H
     P = reduction @ P @ reduction.T + noise * (K @ K.T)  # Joseph's form
-    scales = [limited(estimate[3 + i], low, high) for i, (low, high) in enumerate((SCALES, AIR_SCALES))]
+    scales = []
+    for i, (low, high) in enumerate((SCALES, AIR_SCALES)):
+        scales.append(limited(estimate[3 + i], low, high))
     fast = fast + read * gain * (y - H @ estimate - fast)
     return ca.vertcat(estimate[:3], *scales), ca.vec(P), fast
 

@@ -89,13 +89,13 @@ class ObserverPart(LayerPart):
     def before(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """The update, from the first reading on."""
         air = inputs.residual or no_residual(vehicle)
-        read, flown = inputs.fresh[0], ca.fmax(memory.flown, inputs.fresh[0])
+        read = inputs.fresh[0]
+        flown = ca.fmax(memory.flown, inputs.fresh[0])
         known = inputs.state, inputs.specific_force, read, inputs.delivered, inputs.mean, inputs.theta
         update = self.update(vehicle, air, inputs.about)
         estimate, belief = update(memory.estimate, *known, ca.DM(self.settings(inputs.period)))
-        estimate, belief = (
-            ca.if_else(flown, new, old) for new, old in ((estimate, memory.estimate), (belief, ca.DM(NO_BELIEF)))
-        )
+        estimate = ca.if_else(flown, estimate, memory.estimate)
+        belief = ca.if_else(flown, belief, ca.DM(NO_BELIEF))
         return {"estimate": estimate, "flown": 1, "belief": belief}
 
     def put(self, controller: Any) -> Observer | ObservingMPC:
@@ -132,7 +132,8 @@ class ObservingMPC(WrappedController):
 
     def __init__(self, wrapped: PredictiveController, part: ObserverPart, about: Circumstances) -> None:
         super().__init__(wrapped)
-        self.part, self.finds_torque = part, part.torque_bandwidth > 0
+        self.part = part
+        self.finds_torque = part.torque_bandwidth > 0
         wrapped.targets = part.targets
         function = part.update(wrapped.vehicle, air_of(wrapped), about)
         estimator = Estimator(function, part.settings(about.period), about.delays)
@@ -174,12 +175,15 @@ def believer(controller: Controller, name: str) -> Any:
 
 def known_delay(stated: float | None, controller: Any, name: str) -> float:
     """What an observer is given a delay, else what its controller was given (s)."""
-    return float(getattr(getattr(controller, "settings", None), name, 0.0)) if stated is None else stated
+    if stated is None:
+        return float(getattr(getattr(controller, "settings", None), name, 0.0))
+    return stated
 
 
 def arguments(vehicle: Vehicle, states: int, parameters: int, settings: int) -> dict[str, ca.MX]:
     """Symbols of an update's arguments, in their order."""
     n = vehicle.n_rotors
     sizes = {"s": states, "x": 13, "reading": 3, "read": 1, "thrust": n, "mean": n}
-    sizes |= {"theta": parameters, "settings": settings}
+    sizes["theta"] = parameters
+    sizes["settings"] = settings
     return named_symbols(ca.MX, sizes)

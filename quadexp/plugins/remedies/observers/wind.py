@@ -56,7 +56,8 @@ def wind_bandwidth(
         each = []
         for airspeed in (-TYPICAL_AIRSPEED, TYPICAL_AIRSPEED):
             z = np.zeros(6 + vehicle.n_rotors)
-            z[axis], z[6:] = airspeed, vehicle.hover_thrust
+            z[axis] = airspeed
+            z[6:] = vehicle.hover_thrust
             _, slope = residual.function(z, theta)
             each.append(abs(float(np.array(ca.DM(slope).full())[axis, axis])))
         slopes.append(np.mean(each) / (config.noise[axis] * np.sqrt(period)))
@@ -66,12 +67,18 @@ def wind_bandwidth(
 def wind_function(vehicle: Vehicle, residual: Residual, about: Circumstances) -> ca.Function:
     """The update of plugins.remedies.observers.observer; s = [wind (3,), k, P (4, 4), F / m (3,), w^ (3,), J^-1 tau^
     (3,)]."""
-    model, period = residual.form(about.compiled), about.period
+    model = residual.form(about.compiled)
+    period = about.period
     first = N_AIR + N_AIR**2 + N_FORCE
     a = arguments(vehicle, first + N_TORQUE_STATE, model.size1_in(1), N_WIND_SETTINGS + N_TORQUE_SETTINGS)
-    x, s, settings = a["x"], a["s"], a["settings"]
-    R, thrust = rotation_matrix(x[ATTITUDE]), ca.sum1(a["thrust"]) / vehicle.mass
-    air, P, force = s[:N_AIR], ca.reshape(s[N_AIR : first - N_FORCE], N_AIR, N_AIR), s[first - N_FORCE : first]
+    x = a["x"]
+    s = a["s"]
+    settings = a["settings"]
+    R = rotation_matrix(x[ATTITUDE])
+    thrust = ca.sum1(a["thrust"]) / vehicle.mass
+    air = s[:N_AIR]
+    P = ca.reshape(s[N_AIR : first - N_FORCE], N_AIR, N_AIR)
+    force = s[first - N_FORCE : first]
     wind_walk, scale_walk, *noise, largest, limit, gain = ca.vertsplit(settings[:N_WIND_SETTINGS])
 
     scale = 1 + air[3]
@@ -96,7 +103,8 @@ def wind_function(vehicle: Vehicle, residual: Residual, about: Circumstances) ->
     size = ca.sqrt(ca.sumsqr(air[:3]) + 1e-30)
     air = ca.vertcat(air[:3] * ca.fmin(1, limit / size), limited(air[3], -0.5, 1.0))
 
-    mean, of_torque = (1 + air[3]) * a["mean"], settings[N_WIND_SETTINGS:]
+    mean = (1 + air[3]) * a["mean"]
+    of_torque = settings[N_WIND_SETTINGS:]
     rates, torque = torque_update(s[first:], x[RATE], mean, y[3:], of_torque, vehicle, period)
     belief = ca.vertcat(vehicle.mass * force, torque, air[:3], 1 + air[3], 1)
     return named_function("wind_observer", a, {"s_next": ca.vertcat(air, ca.vec(P), force, rates), "belief": belief})
@@ -136,7 +144,8 @@ class WindObserver(ObserverPart):
         """See Remedy; UsageError where the model has too little drag to measure a wind."""
         wrapped = believer(controller, self.name)
         core = innermost(wrapped)
-        residual, period = air_of(core), wrapped.control_period
+        residual = air_of(core)
+        period = wrapped.control_period
         bandwidth = wind_bandwidth(wrapped.vehicle, residual, parameters_of(core), self, period)
         if bandwidth < self.least_bandwidth:
             raise UsageError(

@@ -111,7 +111,8 @@ class Feedback(FeedbackSettings, Law):
             result = _fixed_point(law, arguments, last, self.inner_iterations)
         results |= {name: result[name] for name in last} | {"observer": ca.vec(result["observer"])}
         results |= named(("phi_d", "theta_d"), ca.vertsplit(result["eta_d"][:2]))
-        results |= {"error_eta": ca.norm_2(result["error"]), "cone": result["outside"]}
+        results["error_eta"] = ca.norm_2(result["error"])
+        results["cone"] = result["outside"]
         results |= {name: result[name] for name in ("floored", "limited")}
         return results | {"command": result["thrust"], "held": result["floored"] + result["limited"]}
 
@@ -133,7 +134,8 @@ class Feedback(FeedbackSettings, Law):
                 raise UsageError(
                     f"{self.name}: knows the plant's blade-element coefficients; plant=blade_element has them"
                 )
-            places, source = {"coefficients": context.plant.coefficients.parameters()}, "plant equations"
+            places = {"coefficients": context.plant.coefficients.parameters()}
+            source = "plant equations"
         controller = self.controller(context.vehicle, places=places)
         controller.residual_name = "thrust_map" if self.compensates.parameters == "none" else "blade_element"
         controller.source = source

@@ -51,7 +51,9 @@ def state_from_ned(
     position: xi (3,) NED (m). eta: phi, theta, psi (rad). velocity: (3,) NED (m/s). rate: Omega (3,) FRD (rad/s).
     """
     x = np.empty(N_STATE)
-    x[POSITION], x[VELOCITY], x[RATE] = NED_ENU @ position, NED_ENU @ velocity, FRD_FLU @ rate
+    x[POSITION] = NED_ENU @ position
+    x[VELOCITY] = NED_ENU @ velocity
+    x[RATE] = FRD_FLU @ rate
     R = NED_ENU @ ca.DM(rotation_euler(ca.DM(list(eta)))).full() @ FRD_FLU
     from scipy.spatial.transform import Rotation
 

@@ -42,7 +42,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.settings import Settings, Triple, key
 from quadexp.physics.blade_element import aerodynamic_wrench, blade_forces, body_drag, static_inflow
-from quadexp.physics.expression import Expression, dense_function, limited, symbols
+from quadexp.physics.expression import Expression, dense_function, limited, named_symbols, symbols
 from quadexp.physics.induced_velocity import balance, safe_newton
 from quadexp.physics.rotation import air_velocity, along_z, rotation_matrix
 from quadexp.physics.rotor import C_D0, C_DX, C_DZ, C_LA
@@ -141,20 +141,26 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
     rotors at the least speed; limited: number of rotors at the largest thrust; u_T (3,), NED.
     """
     n = vehicle.n_rotors
-    x, reference, yaw, theta, velocity_last, rotor_speed_last, eta_d_last, observer_last = symbols(
-        ca.SX, x=N_STATE, reference=(3, 3), yaw=3, theta=5, v=3, w=n, eta_d=3, observer=(3, 2)
-    )
+    shapes = {"x": N_STATE, "reference": (3, 3), "yaw": 3, "theta": 5, "velocity_last": 3, "rotor_speed_last": n}
+    inputs = named_symbols(ca.SX, shapes | {"eta_d_last": 3, "observer_last": (3, 2)})
+    x, reference, yaw, theta, velocity_last, rotor_speed_last, eta_d_last, observer_last = inputs.values()
 
     R = NED_ENU @ rotation_matrix(x[ATTITUDE]) @ FRD_FLU
-    eta, rate = euler_angles(R), FRD_FLU @ x[RATE]
+    eta = euler_angles(R)
+    rate = FRD_FLU @ x[RATE]
     velocity_ned = NED_ENU @ x[VELOCITY]
     velocity = FRD_FLU @ air_velocity(x[ATTITUDE], x[VELOCITY])
     target = NED_ENU @ reference
-    psi_d, psi_d_dot, psi_d_ddot = yaw_ned(yaw[0]), -yaw[1], -yaw[2]
+    psi_d = yaw_ned(yaw[0])
+    psi_d_dot = -yaw[1]
+    psi_d_ddot = -yaw[2]
 
     hub, delta_thrust, delta_torque = compensation(vehicle, theta, velocity_last, rotor_speed_last)
-    hub, delta_thrust, delta_torque = hub * variant.hub, delta_thrust * variant.thrust, delta_torque * variant.torque
-    drag = drag_force(vehicle, theta, velocity) * variant.drag
+    hub = hub * variant.hub
+    delta_thrust = delta_thrust * variant.thrust
+    delta_torque = delta_torque * variant.torque
+    # D of (6), which opposes the velocity.
+    drag = -body_drag(vehicle.rotor_geometry, velocity, theta[C_DX : C_DZ + 1]) * variant.drag
 
     u_xi = position_feedback(
         NED_ENU @ x[POSITION] - target[:, 0],
@@ -186,20 +192,12 @@ def law_function(vehicle: Vehicle, settings: FeedbackSettings, variant: Variant)
     )
     coefficients = allocation_coefficients(vehicle, variant.allocation, theta)
     squared = allocate(thrust, torque, *coefficients, np.linalg.inv(unit_allocation(vehicle)))
-    low, high = settings.rotor_speed_min**2, vehicle.thrust_max / vehicle.static_thrust_coefficient
+    low = settings.rotor_speed_min**2
+    high = vehicle.thrust_max / vehicle.static_thrust_coefficient
     commanded = limited(squared, low, high)
-    floored, at_limit = ca.sum1(squared < low), ca.sum1(squared > high)
+    floored = ca.sum1(squared < low)
+    at_limit = ca.sum1(squared > high)
 
-    inputs = {
-        "x": x,
-        "reference": reference,
-        "yaw": yaw,
-        "theta": theta,
-        "velocity_last": velocity_last,
-        "rotor_speed_last": rotor_speed_last,
-        "eta_d_last": eta_d_last,
-        "observer_last": observer_last,
-    }
     outputs = {
         "thrust": vehicle.static_thrust_coefficient * commanded,
         "rotor_speed": ca.sqrt(commanded),
@@ -232,15 +230,11 @@ def compensation(vehicle: Vehicle, theta: Expression, velocity: Expression, roto
     equation = balance(vehicle.rotor_geometry, theta[C_LA], rotor_speed, in_plane, velocity[2])
     induced = safe_newton(equation, NEWTON_ITERATIONS)
     rotors_only = ca.vertcat(theta[C_D0], theta[C_LA], 0, 0, 0)
-    no_inflow, flu = ca.DM.zeros(vehicle.n_rotors), FRD_FLU @ velocity
+    no_inflow = ca.DM.zeros(vehicle.n_rotors)
+    flu = FRD_FLU @ velocity
     force, torque = aerodynamic_wrench(vehicle, rotors_only, flu, rotor_speed, induced)
     motor_force, motor_torque = aerodynamic_wrench(vehicle, rotors_only, ca.DM.zeros(3), rotor_speed, no_inflow)
     return Compensation(-(FRD_FLU @ force)[:2], force[2] - motor_force[2], FRD_FLU @ (torque - motor_torque))
-
-
-def drag_force(vehicle: Vehicle, theta: Expression, velocity: Expression) -> Expression:
-    """D, (3,), FRD (N): equation (6); it opposes the velocity (3,), FRD (m/s)."""
-    return -body_drag(vehicle.rotor_geometry, velocity, theta[C_DX : C_DZ + 1])
 
 
 def allocation_coefficients(vehicle: Vehicle, kind: str, theta: Expression) -> tuple[Expression, Expression]:
@@ -290,7 +284,8 @@ def in_cone(u_T: Expression, down_min: float, tilt_max: float) -> tuple[Expressi
 
 def desired_tilt(u_T: Expression, psi: Expression) -> tuple[Expression, Expression]:
     """phi_d, theta_d (rad): equations (34), (35). u_T (3,) NED (N), psi: desired heading (rad)."""
-    sine, cosine = ca.sin(psi), ca.cos(psi)
+    sine = ca.sin(psi)
+    cosine = ca.cos(psi)
     roll = ca.asin(limited((u_T[0] * sine - u_T[1] * cosine) / ca.norm_2(u_T), -1.0, 1.0))
     return roll, ca.atan((u_T[0] * cosine + u_T[1] * sine) / u_T[2])
 
@@ -304,20 +299,28 @@ def observer_matrices(bandwidth: float, period: float) -> tuple[np.ndarray, np.n
 
     gains = np.array([3 * bandwidth, 3 * bandwidth**2, bandwidth**3])
     augmented = np.zeros((4, 4))
-    augmented[:3, 0], augmented[0, 1], augmented[1, 2], augmented[:3, 3] = -gains, 1.0, 1.0, gains
+    augmented[:3, 0] = -gains
+    augmented[0, 1] = 1.0
+    augmented[1, 2] = 1.0
+    augmented[:3, 3] = gains
     exact = expm(augmented * period)
     return exact[:3, :3], exact[:3, 3]
 
 
 def rate_matrix(eta: Expression) -> Expression:
     """W, (3, 3): equation (37). eta (3,) (rad)."""
-    sp, cp, st, ct = ca.sin(eta[0]), ca.cos(eta[0]), ca.sin(eta[1]), ca.cos(eta[1])
+    sp = ca.sin(eta[0])
+    cp = ca.cos(eta[0])
+    st = ca.sin(eta[1])
+    ct = ca.cos(eta[1])
     return ca.vertcat(ca.horzcat(1, 0, -st), ca.horzcat(0, cp, sp * ct), ca.horzcat(0, -sp, cp * ct))
 
 
 def euler_rates(eta: Expression, rate: Expression) -> Expression:
     """eta_dot = W^-1 Omega, (3,) (rad/s). rate: Omega (3,), FRD (rad/s)."""
-    sp, cp, ct = ca.sin(eta[0]), ca.cos(eta[0]), ca.cos(eta[1])
+    sp = ca.sin(eta[0])
+    cp = ca.cos(eta[0])
+    ct = ca.cos(eta[1])
     ct = ca.if_else(ct < 0, -1, 1) * ca.fmax(abs(ct), COSINE_MIN)
     heading = (sp * rate[1] + cp * rate[2]) / ct
     return ca.vertcat(rate[0] + ca.sin(eta[1]) * heading, cp * rate[1] - sp * rate[2], heading)
