@@ -60,15 +60,17 @@ test-python:
 	$(VENV)-python/bin/python -m pip install -qq --disable-pip-version-check --editable . 'pytest>=8' 'hypothesis>=6.100' && \
 	$(VENV)-python/bin/python -m pytest -m 'not slow' $(SMOKE)
 
-# Dynamics, air, control step and worlds as on a machine without a compiler; what compiled code alone shows is skipped.
+# What asks for a compiler where there is one, as on a machine without: control steps, air, plants, worlds, delays. What
+# never asks, such as the equations of physics, is the same as in `test-full`; what compiled code alone shows is skipped.
 # Of plug-ins: their equations; whole flights are left out.
-WHOLE := test_flight *remedies test_beliefs
+WHOLE := test_flight *remedies test_beliefs test_targets test_decide
+ASKING := models/test_residuals control/test_contracts control/test_delivered control/laws/test_law \
+	$(addprefix control/mpc/test_,mpc reference_thrust dead_time motor_lead phases riccati) \
+	$(addprefix world/test_,air_effects sensors wind world) \
+	reference/test_air_model reference/test_partial_air plugins/worlds/test_eskf plugins/papers/test_plant
 test-interpreted: $(STAMP)
-	CC=none $(BIN)/python -m pytest -n $(TEST_PROCESSES) --dist worksteal -m 'not slow' \
-		tests/physics tests/models/test_residuals.py tests/plugins/remedies/test_online.py tests/models/test_terms.py \
-		tests/control tests/world tests/reference \
-		tests/plugins/remedies tests/plugins/auto tests/plugins/worlds/test_eskf.py tests/plugins/papers/feedback \
-		tests/plugins/papers/test_plant.py $(WHOLE:%=--ignore-glob='*/%.py')
+	CC=none $(BIN)/python -m pytest -n $(TEST_PROCESSES) --dist worksteal -m 'not slow' $(ASKING:%=tests/%.py) \
+		tests/plugins/remedies tests/plugins/auto tests/plugins/papers/feedback $(WHOLE:%=--ignore-glob='*/%.py')
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -153,9 +155,9 @@ leaderboard: $(STAMP)
 	$(QUADEXP) bench --size $(SIZE) --seeds $(SEEDS) --out results/leaderboard_$(SIZE) --markdown docs/leaderboard.md
 	cp results/leaderboard_$(SIZE)/leaderboard.parquet docs/leaderboard.parquet
 
-# The same claims on fewer flights, as tests that fail where a promised figure is missed.
+# The same claims on fewer flights, as tests that fail where a promised figure is missed; the two papers at the same time.
 reproduce-quick: $(STAMP)
-	$(BIN)/python -m pytest -m slow tests/reproduction
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m slow tests/reproduction
 
 # Every slow test: full sizes, the 200 seeds of each of Lei & Li's examples, odd file systems; ten minutes or more.
 test-slow: $(STAMP)

@@ -5,9 +5,11 @@ World ENU, body FLU, quaternion body to world with w first, SI units; see quadex
 
 from __future__ import annotations
 
+import functools
+import threading
 import time
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +31,26 @@ from quadexp.parts.options import Folders
 from quadexp.physics.state import RATE
 from quadexp.reference.base import Trajectory
 
+Given = ParamSpec("Given")
+Result = TypeVar("Result")
+
+
+def by_one_thread(
+    method: Callable[Concatenate[ControlLoop, Given], Result],
+) -> Callable[Concatenate[ControlLoop, Given], Result]:
+    """Two threads in the same arrays at once would corrupt them: the second one is refused."""
+
+    @functools.wraps(method)
+    def guarded(loop: ControlLoop, /, *args: Given.args, **keywords: Given.kwargs) -> Result:
+        if not loop.busy.acquire(blocking=False):
+            raise UsageError(f"{method.__name__}: another thread is in this loop; give each one its own qx.controller")
+        try:
+            return method(loop, *args, **keywords)
+        finally:
+            loop.busy.release()
+
+    return guarded
+
 
 def controller(*settings: OverrideLike, conf: Folders = None, **keywords: Any) -> ControlLoop:
     """The configured controller with the configured trajectory; settings as for qx.simulate.
@@ -49,7 +71,7 @@ class ControlLoop:
     controller: see quadexp/control/base.py. plant: the configured simulated vehicle (quadexp/world/base.py), for a
     loop without a real one; in a world its flight begins with `begin` (quadexp/world/world.py). period: s, between
     steps. times: (k,), s, the control instants of the trajectory. failed: whether the last step was refused, or
-    found no answer, so that its thrusts are those of an earlier prediction.
+    found no answer, so that its thrusts are those of an earlier prediction. busy: held by the thread that is in it.
 
     A step is one call into C (control/compiled_loop.py), where controller and machine allow it, with the same numbers.
     """
@@ -57,6 +79,7 @@ class ControlLoop:
     def __init__(self, controller: Controller, trajectory: Trajectory, plant: Any) -> None:
         self.controller, self.plant, self.vehicle = controller, plant, controller.vehicle
         self.period = controller.control_period
+        self.busy = threading.RLock()
         self._gate = ReadingGate(self.vehicle.n_rotors)
         self._record: StepRecord | None
         self._took: float  # s, of a step in C whose record has not been asked for; otherwise 0
@@ -95,6 +118,7 @@ class ControlLoop:
         Raises UsageError for a controller that remembers what it does not declare."""
         return {name: values.copy() for name, values in self._declared().memory.items()}
 
+    @by_one_thread
     def restore(self, memory: Mapping[str, np.ndarray]) -> None:
         """Go on from what `memory` once was: the same measurements then give the same thrusts, also in another process.
 
@@ -127,6 +151,7 @@ class ControlLoop:
             self._record, self._took = self._compiled.record(self._took), 0.0
         return self._record
 
+    @by_one_thread
     def follow(self, trajectory: Trajectory) -> None:
         """Track another trajectory (quadexp/reference/base.py), in a flight that begins with the next step."""
         if not isinstance(trajectory, Trajectory):
@@ -147,6 +172,7 @@ class ControlLoop:
         self._gate.begin()
         self._prepared: tuple[int, Window] | None = None
 
+    @by_one_thread
     def reset(self, state: npt.ArrayLike | None = None, reference: Window | None = None) -> None:
         """Begin a flight in the state (13,), or where the reference starts; the first `step` does it unasked."""
         self.follow(self.trajectory)
@@ -158,6 +184,7 @@ class ControlLoop:
         self.controller.reset(state, window)
         self._begun = True
 
+    @by_one_thread
     def prepare(self, t: float) -> None:
         """Do what the step at t (s) can do before its measurement, so that it answers sooner; an MPC's, otherwise none.
 
@@ -171,6 +198,7 @@ class ControlLoop:
         self._prepared = k, self._reference.window(k)
         prepare(self._prepared[1])
 
+    @by_one_thread
     def step(
         self, measured: npt.ArrayLike | Measurement, t: float | None = None, reference: Window | None = None
     ) -> np.ndarray:

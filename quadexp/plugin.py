@@ -121,7 +121,7 @@ def service(name: str, wanted: str) -> Any:
     Raises UsageError where no plug-in brings it."""
     brought_service = brought("services", name)
     if brought_service is None:
-        raise UsageError(f"{wanted}: no plug-in that is there brings {name!r} (quadexp/plugins)")
+        raise UsageError(f"{wanted}: no installed plug-in has {name!r} (quadexp/plugins)")
     return brought_service
 
 

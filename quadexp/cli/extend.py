@@ -23,7 +23,7 @@ def options(
     ] = "",
     conf: Conf = (),
 ) -> Answer:
-    """What there is to choose: groups, options, and the keys of an option with value, range, unit and meaning.
+    """List groups, options, and the keys of an option with value, range, unit and meaning.
 
     \b
     quadexp options
@@ -100,7 +100,7 @@ FORMER = {"residual": "model"}  # words of the release before
 @command
 def new(
     part: Annotated[str, Ask(f"What to begin: {', '.join(TEMPLATES)}.", "PART")],
-    name: Annotated[str, Ask("Of module, option and test: a Python identifier.", "NAME")],
+    name: Annotated[str, Ask("Name of module, option and test: a Python identifier.", "NAME")],
     to: Annotated[Path, Ask("A configuration folder, given to other commands by --conf.", "DIR")] = Path("my_parts"),
     source: Annotated[
         str | None, Ask("A vehicle: the file of crazyflow (.toml) or RotorPy (.py).", "FILE[:SECTION]", "--from")
@@ -199,7 +199,7 @@ def _check_name(part: str, name: str, template: Template, to: Path) -> None:
     from quadexp.parts.options import groups
 
     if not NAME.fullmatch(name) or keyword.iskeyword(name) or keyword.issoftkeyword(name):
-        raise UsageError(f"new {part}: {name!r} is no name for a module: a letter, then letters, digits or _")
+        raise UsageError(f"new {part}: {name!r} is not a valid name of a module: a letter, then letters, digits or _")
     if name.lower() in WORDS:
         raise UsageError(f"new {part}: {name!r} means something else in YAML, on the command line or to pytest")
     group, option = template.named(name)
@@ -211,7 +211,7 @@ def _check_name(part: str, name: str, template: Template, to: Path) -> None:
     if not template.module:
         return
     if find_spec(name) is not None and not (to / f"{name}.py").exists():
-        raise UsageError(f"new {part}: there is a Python module {name} already, which would be taken: choose another")
+        raise UsageError(f"new {part}: a Python module {name} exists, and would be used instead: choose another")
     code = (examples_folder() / f"{template.example}.py").read_text(encoding="utf-8")
     if name in re.findall(r"\b[A-Za-z_]\w*", code) and name != template.example:
-        raise UsageError(f"new {part}: {name!r} has a meaning in the code that is written: choose another name")
+        raise UsageError(f"new {part}: {name!r} is used in the code that is written: choose another name")

@@ -38,8 +38,8 @@ def evaluate(
         bool | None, Ask("Draw figures (default: only for a sweep).", flag="--figures/--no-figures")
     ] = None,
     conf: Conf = (),
-    refly: Annotated[bool, Ask("Fly cells again that another version of the sources has flown.")] = False,
-    keep_old: Annotated[bool, Ask("Keep them in the table, beside new ones.")] = False,
+    refly: Annotated[bool, Ask("Fly cells of other sources again.")] = False,
+    keep_old: Annotated[bool, Ask("Keep cells of other sources in the table.")] = False,
     force: Force = False,
     watch: Annotated[bool, Ask("Show the sweep while it runs: a table here, and a page in a file.")] = False,
 ) -> Answer:

@@ -43,7 +43,7 @@ def collect(
 
 
 DataSet = Annotated[Path, Ask("Data set of `quadexp collect`.", "DATASET")]
-After = Annotated[Path | None, Ask("Checkpoint that explains a part; the rest is fitted, for a sum of the two.")]
+After = Annotated[Path | None, Ask("Fit what this checkpoint leaves, for a sum of the two.")]
 
 
 def _models(context: typer.Context, incomplete: str) -> list[str]:

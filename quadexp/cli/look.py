@@ -130,7 +130,7 @@ def _verify(folder: Path) -> Answer:
         {"files": checked.files, "wrong": checked.wrong},
         rows or [{"files": checked.files, "wrong": 0}],
         [*lines, f"{checked.files} files, {count} wrong"],
-        failed=[f"{folder}: {count} files do not hold what was written there"] if count else [],
+        failed=[f"{folder}: {count} files have changed since they were written"] if count else [],
     )
 
 

@@ -39,9 +39,9 @@ AGAIN = "no file is left half written: run the same command again"
 GO_ON = {
     "evaluate": "what has been flown is kept: run the same command to continue",
     "import": "the logs imported so far are kept: give the others, or all with --force",
-    "identify": f"{AGAIN}, with --force where it had begun to write",
-    "validate": f"{AGAIN}, with --force where it had begun to write",
-    "report": f"{AGAIN}, with --force where it had begun to write",
+    "identify": f"{AGAIN}, with --force if it had begun to write",
+    "validate": f"{AGAIN}, with --force if it had begun to write",
+    "report": f"{AGAIN}, with --force if it had begun to write",
 }
 _signals: list[int] = []  # received signals that ask this process to end, until it is said that they did
 _spent: list[bool] = []  # whether the memory was not enough

@@ -78,7 +78,7 @@ def realise(function: ca.Function, backend: str) -> ca.Function:
 
 def realise_together(functions: Sequence[ca.Function], backend: str) -> list[ca.Function]:
     """Functions on a resolved back end, compiled into one library: what they have in common is compiled once."""
-    if backend != "compiled":
+    if backend != "compiled" or not functions:
         return list(functions)
     source = generated(functions)
     if len(functions) > 1:

@@ -177,4 +177,4 @@ def refuse_unread(part: Any, results: Iterable[str], known: Iterable[str]) -> No
     for name in results:
         if name not in allowed:
             near = suggestion(name, allowed)
-            raise UsageError(f"equations of {type(part).__name__}: nobody reads {name!r}, which they give{near}")
+            raise UsageError(f"equations of {type(part).__name__}: they return {name!r}, which nothing reads{near}")

@@ -223,7 +223,7 @@ def _simulated_rows(
     lines: list[str] = []
     of_rotors = brought("services", "rotor_thrust")
     if settings.thrust == "delivered" and of_rotors is None:
-        lines.append("warning: commands count as acting at once: no plug-in that is there finds lag and delays")
+        lines.append("warning: commands count as acting at once: no installed plug-in finds lag and delays")
     for i, world in enumerate(worlds if settings.thrust == "delivered" and of_rotors else ()):
         groups.setdefault(digest({group: world.get(group) for group in OF_TIMING}), []).append(i)
     timings = []

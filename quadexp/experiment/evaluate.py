@@ -137,8 +137,8 @@ def _check_finite(config: Config, trajectory: Any) -> None:
     size = {key: abs(math.log10(abs(x))) for key, x in settings.items() if isinstance(x, (int, float)) and abs(x) > 0}
     key = max(size, key=lambda key: size[key], default="name")
     raise UsageError(
-        f"the reference is not finite at t = {t[int(np.argmin(finite))]:.3g} s: trajectory.{key}={settings[key]} leads"
-        " beyond the numbers of a computer"
+        f"the reference is not finite at t = {t[int(np.argmin(finite))]:.3g} s: trajectory.{key}={settings[key]} is"
+        " too large or too small"
     )
 
 
@@ -203,7 +203,7 @@ def build_loop(config: Config, model: ModelFile | None) -> Loop:
     plant = build_world(config, vehicle)
     check_remedies(config, vehicle, plant)
     controller = build_controller(config, vehicle, plant, model)
-    margins = {"unknown": "no plug-in that is there computes margins"}
+    margins = {"unknown": "no installed plug-in computes margins"}
     if (loop_margins := brought("services", "loop_margins")) is not None:
         margins = loop_margins(controller, plant)
         if unstable := service("instability", "margins")(config, margins, vehicle, plant, model):

@@ -247,7 +247,7 @@ def verdict_lines(report: dict[str, Any]) -> list[str]:
     lines = _more_lines(report) if few else []
     lines += [
         f"verdict on {flights}: RMSE relative to linear drag's, paired over flights, 95 % interval",
-        "  (noise: at most what the residual changes by from one row to the next but one)",
+        "  (noise: an upper limit, from the change of the residual over two rows)",
     ]
     for output, row in report["outputs"].items():
         lines.append(f"  {output}  {'TOO FEW FLIGHTS TO TELL' if few else WORDS[row['verdict']]}: {row['text']}")

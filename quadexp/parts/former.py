@@ -34,7 +34,7 @@ _BROUGHT = re.compile(rf"(?<= )({'|'.join(GROUPS)})(?=[.=])")  # a setting behin
 @cache
 def said(old: str, new: str) -> str:
     """The new name; a note says once that there is one."""
-    note(f"{old}: is {new} now; the old name goes with the next release")
+    note(f"{old}: is called {new} now; the old name is removed in the next release")
     return new
 
 

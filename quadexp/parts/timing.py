@@ -1,4 +1,4 @@
-"""What a controller and the parts around it are given delays, in one place: the group `timing=`.
+"""Which delays a controller and the parts around it are given, in one place: the group `timing=`.
 
     age          of the measured state                 delay.time
     dead_time    from a command to its thrust          controller, observer, adaptive, inner, delay: .dead_time
@@ -71,5 +71,5 @@ def with_timing(config: Config, given: Collection[str], motor: str) -> Config:
     for name in known.keys() - taken:
         if f"timing.{name}" in given:
             advice = "delay=prediction, delay=strapdown" if name == "age" else "delay=prediction, an MPC, an observer"
-            raise UsageError(f"timing.{name}={known[name]:g}: nothing that flies takes it: add {advice}")
+            raise UsageError(f"timing.{name}={known[name]:g}: nothing in this configuration uses it: add {advice}")
     return config

@@ -8,7 +8,7 @@ With n values x_i, mean m, standard deviation s, confidence 1 - alpha, and paire
     share      q of Beta at alpha / 2 and 1 - alpha / 2                (Clopper & Pearson 1934, Biometrika 26(4))
     effect     (R- - R+) / (R- + R+), R the rank sums of |d_i| by sign of d_i    (Kerby 2014, Compr. Psychol. 3)
 
-One test decides what is significantly different, everywhere. d_li is the difference of two contestants at seed i in
+One test decides everywhere what is significantly different. d_li is the difference of two contestants at seed i in
 line l of a table (or over several lines), g a pattern of n signs, all 2^n of them for n <= 14, otherwise PATTERNS drawn
 ones with the flown one among them (Hemerik & Goeman 2018, TEST 27):
 

@@ -53,13 +53,13 @@ def table_notes(
     line = f"mean over {'the flights of a line that all completed, of ' if lost else ''}{over}"
     if any(s.common_interval == "t" for s in statistics):
         line += f" [{100 * statistics[0].confidence:g} % interval: Student's t]"
-    line += "; bounds are not ranked" if any(is_bound(s.controller) for s in statistics) else ""
+    line += "; oracles are not ranked" if any(is_bound(s.controller) for s in statistics) else ""
     lines = [line, *tests.notes]
     if not any(s.baseline for s in statistics) and len({s.contestant for s in statistics}) > 1:
         lines.append("no comparison: the baseline (evaluate.baseline) is none of these contestants, or several of them")
     lines += [RULE] if lost else []
     if any(s.n > s.common for s in statistics):
-        lines.append("all n: the mean over all n flights that this controller completed, whoever else did")
+        lines.append("all n: the mean over all n flights that this controller completed, also where others did not")
     lines += [text for verdict in best if (text := verdict.text())]
     return (*lines, *_first([entry.text() for entry in pooled]))
 

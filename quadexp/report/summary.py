@@ -77,8 +77,8 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
     if (row.get("heading_rmse") or 0.0) > LARGE_HEADING_ERROR:
         lines.append("            the heading is far from the reference's, which an error of position does not show")
     if (share := metadata.get("yaw_share", 1.0)) < WEAK_YAW:
-        heading = f"{100 * share:.0f} % of the weight on yaw is left at headings of this path"
-        lines.append(f"heading     {heading}; controller.attitude_error=body keeps all of it")
+        heading = f"of the weight on yaw {100 * share:.0f} % acts at headings of this path"
+        lines.append(f"heading     {heading}; with controller.attitude_error=body all of it")
     lines.append(f"step        median {median:.0f} us, 99 % {p99:.0f} us, largest {largest:.0f} us ({row['backend']})")
     if row.get("unconverged_count"):
         lines.append("            the first step did not converge (controller.initial_iterations): not the optimum")
@@ -99,7 +99,7 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
     share = row.get("reference_residual")
     if share is not None and share < 1:
         contained = f"{math.floor(100 * share)} % of the residual ({name})"
-        lines.append(f"reference   contains {contained}: with all of it none was found on this path")
+        lines.append(f"reference   contains {contained}: with all of it no reference was found on this path")
     return lines + outside_line(metadata.get("outside_data"), always=always)
 
 

@@ -51,7 +51,7 @@ from quadexp.report.text import p_value, plain, shown, speed_text, with_interval
 from quadexp.report.winner import verdict
 from quadexp.writer import write_text
 
-MOST_ACROSS = 6  # columns of an error table; with more, several plants are significantly different by rows
+MOST_ACROSS = 6  # columns of an error table; with more, rows tell several plants apart
 STATISTICS = "statistics.parquet"
 # What a text file made of statistics is called in the answer of a command.
 NAMES = {

@@ -26,7 +26,7 @@ from quadexp.report.text import count, listed, probability
 def rank(
     tests: Tests, conditions: Sequence[Condition]
 ) -> tuple[Contestant | None, dict[Contestant, Difference], dict[Contestant, Flights]]:
-    """Of those who completed a flight in these conditions, bounds aside: the one with the least error, None without
+    """Of those who completed a flight in these conditions, oracles aside: the one with the least error, None without
     any; all others against it, the nearest first; and how many flights each of all completed."""
     flights = tests.groups.flights(conditions)
     ranked = [who for who, flown in flights.items() if flown.ended and not is_bound(who.controller)]
@@ -128,7 +128,7 @@ class Verdict:
         over = f"the {count(flights[-1], 'flight')} that all completed"
         if len(flights) > 1:
             over = f"the {flights[0]} to {flights[-1]} flights that it and each other completed"
-        bound = ", bounds aside" if self.bound else ""
+        bound = ", oracles aside" if self.bound else ""
         head = f"least over {over}{f' in {self.where}' if self.where else ''}{bound}: {self.least}"
         if self.aside:
             head += f" ({listed(self.aside)} aside: too few flights completed for a test)"

@@ -16,6 +16,7 @@ import pickle
 import resource
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, TimeoutError, wait
@@ -223,6 +224,7 @@ def begin(memory: float | None, path: str | None, folders: Sequence[str]) -> Non
     """
     os.environ[PATH] = path or ""
     import_from(*folders)
+    threading.Thread(target=_end_with_driver, daemon=True).start()
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
             ctypes.CDLL(None).prctl(_SET_PARENT_DEATH_SIGNAL, signal.SIGKILL)
@@ -231,6 +233,15 @@ def begin(memory: float | None, path: str | None, folders: Sequence[str]) -> Non
         limit = int(memory * 1e9)
         if hard == resource.RLIM_INFINITY or limit < hard:
             resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
+
+
+def _end_with_driver() -> None:
+    """End at once when the process that started this one has ended, whatever is flown. The death of the server, to
+    which the signal above belongs, is no sign of that: it lives as long as any of its workers."""
+    driver = multiprocessing.parent_process()
+    if driver is not None:
+        driver.join()
+        os._exit(1)
 
 
 def cause(error: BaseException, timeout: float | None) -> str:

@@ -84,7 +84,7 @@ def too_few_seeds(grids: Iterable[Grid], baseline: str, confidence: float) -> st
     least = least_seeds(comparisons, confidence) if comparisons else 0
     if not 1 < seeds < least:
         return ""
-    return f"no single line can be significant with {seeds} seeds; seed='range({least})' could"
+    return f"{seeds} seeds cannot show a significant difference in a line; seed='range({least})' can"
 
 
 def cell_key(record: Mapping[str, Any], inputs: Mapping[str, str]) -> str:

@@ -33,7 +33,7 @@ class Latency(Effect):
     prefix = "link."
 
     latency: float = key(0.0, "least time between a command and its thrust", "[0, 0.5]", "s")
-    jitter: float = key(0.0, "what a command may take longer, uniform from command to command", "[0, 0.5]", "s")
+    jitter: float = key(0.0, "largest additional delay, uniform from command to command", "[0, 0.5]", "s")
     drop: float = key(0.0, "probability that a command is lost; the last one holds", "[0, 1)")
 
     stage = "link"

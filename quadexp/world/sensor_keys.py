@@ -11,12 +11,12 @@ RATES = "[0, 8000]"
 AGES = "[0, 0.5]"
 RATE_HZ = Setting("readings a second; 0: one at every control instant", RATES, "Hz")
 AGE = Setting("age at which a reading is given", AGES, "s")
-JITTER = Setting("what a reading may take longer, uniform from reading to reading", AGES, "s")
-DROP = Setting("share of the readings that get lost", "[0, 1)")
+JITTER = Setting("largest additional delay, uniform from reading to reading", AGES, "s")
+DROP = Setting("share of the readings that are lost", "[0, 1)")
 CUTOFF = Setting("cut-off of the low pass before the readings; 0: none", "[0, 10000]", "Hz")
 BIAS_STD = "standard deviation of the bias that is drawn for a flight, each axis"
 DRIFT_STD = "standard deviation of the correlated error, each axis"
-DRIFT_TIME = Setting("over which that error is correlated", "(0, 1e6]", "s")
+DRIFT_TIME = Setting("correlation time of that error", "(0, 1e6]", "s")
 
 
 @keyed
@@ -50,7 +50,7 @@ class SensorKeys(Settings):
     rotor_speed_delay: float = key(0.0, AGE)
     rotor_speed_jitter: float = key(0.0, JITTER)
     rotor_speed_drop: float = key(0.0, DROP)
-    rotor_speed_step: float = key(0.0, "smallest difference that a telegram can tell; 0: any", "[0, 1000]", "rad/s")
+    rotor_speed_step: float = key(0.0, "resolution of a telegram; 0: exact", "[0, 1000]", "rad/s")
     rotor_speed_pole_pairs: int = key(
         0, "of the motors, whose period is given in telegrams of bidirectional DShot; 0: in none", "[0, 50]"
     )
@@ -67,14 +67,14 @@ class SensorKeys(Settings):
     attitude_drift: float = key(0.0, DRIFT_STD, "[0, 1]", "rad")
     attitude_drift_time: float = key(10.0, DRIFT_TIME)
     attitude_age: Literal["pose", "fresh"] = key(
-        "pose", "attitude that is given: as old as position and velocity, or that of now, as of a filter on board"
+        "pose", "age of the given attitude: that of position and velocity, or none, as of a filter on board"
     )
     pose_rate: float = key(0.0, RATE_HZ)
     pose_delay: float = key(0.0, AGE)
     pose_jitter: float = key(0.0, JITTER)
     pose_drop: float = key(0.0, DROP)
     battery_noise: float = key(0.0, "standard deviation of the white noise on the voltage", "[0, 10]", "V")
-    battery_step: float = key(0.0, "smallest difference of the voltage that is given; 0: any", "[0, 1]", "V")
+    battery_step: float = key(0.0, "resolution of the given voltage; 0: exact", "[0, 1]", "V")
     sheet_factor: float = key(
-        1.0, "by which the noise, drift and delay that controllers are given the sensors are wrong", "[0.01, 100]"
+        1.0, "factor from the true noise, drift and delay of the sensors to the stated ones", "[0.01, 100]"
     )

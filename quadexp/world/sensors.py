@@ -41,7 +41,7 @@ from quadexp.world.sensor_keys import ZERO, SensorKeys
 from quadexp.world.streams import part_stream
 
 POSE = {"position": POSITION, "attitude": ATTITUDE, "velocity": VELOCITY}  # what comes in one message
-STATE = (*POSE, "pose", "gyroscope")  # how keys begin that change what is given the state
+STATE = (*POSE, "pose", "gyroscope")  # how keys begin that change the given state
 BIASES = {"accelerometer": BIAS_COLUMNS[:3], "gyroscope": BIAS_COLUMNS[3:]}
 AXES = 3  # of an accelerometer or a gyroscope
 

@@ -45,7 +45,7 @@ class StatedEstimate(Effect):
     rate_noise: float = key(0.0, "standard deviation of the body rate, per axis", "[0, 10]", "rad/s")
     delay: float = key(0.0, "age of the state that is given", "[0, 0.5]", "s")
     gyro: Literal["late", "fresh"] = key(
-        "late", "body rate that is given: as old as the rest of the state, or that of now, as a gyroscope's is"
+        "late", "age of the given body rate: that of the rest of the state, or none, as of a gyroscope"
     )
 
     stage = "estimator"

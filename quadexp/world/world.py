@@ -1,6 +1,6 @@
 """A simulated airframe in a world: any plant of quadexp.world with effects around it (see effect.py).
 
-It is flown as the airframe alone is, in one compiled call a control period. What the controller is given the state is
+It is flown as the airframe alone is, in one compiled call a control period. The state that the controller is given is
 `measured`, which differs from the truth where sensors or an estimator stand between.
 """
 

@@ -352,6 +352,25 @@ class TestLoop:
         for one, other in zip(together, 2 * alone, strict=True):
             same(one, other.arrays().columns)
 
+    def test_a_loop_is_of_one_thread_at_a_time(self):
+        """Three threads in one loop overwrote its arrays and ended the process."""
+        loop = qx.controller("controller=nominal_mpc", "trajectory=hover")
+        for t in loop.times[:2]:  # from the second step on in C
+            loop.step(loop.start, t)
+
+        def stepped(k: int) -> bool:
+            try:
+                return bool(np.isfinite(loop.step(loop.start, k * loop.period)).all())
+            except qx.UsageError as error:
+                assert "another thread is in this loop" in str(error)
+                return True
+
+        with ThreadPoolExecutor(3) as pool:
+            assert all(pool.map(stepped, range(300)))
+            with loop.busy, pytest.raises(qx.UsageError, match=r"step: another thread is in this loop"):
+                pool.submit(loop.step, loop.start, 0.0).result()
+        assert stepped(300) and not loop.failed
+
     def test_a_window_of_ones_own_planner(self):
         """Hover at a point 20 cm away: the vehicle gets there."""
         loop = qx.controller("controller=nominal_mpc", "plant=ideal", "trajectory=hover", *INTERPRETED)

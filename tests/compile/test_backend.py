@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from quadexp.compile.backend import BufferedFunction, compiler, realise
+from quadexp.compile.backend import BufferedFunction, compiler, realise, realise_together
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
@@ -71,3 +71,9 @@ def test_each_calls_it_at_every_point(tmp_path, monkeypatch, rng):
             called.each(wrong)
     with pytest.raises(ValueError, match="must be compiled"):
         BufferedFunction(function).each(values)
+
+
+@pytest.mark.parametrize("backend", ["compiled", "interpreted"])
+def test_a_layer_without_functions_of_its_own_has_none_on_any_back_end(backend):
+    """As of a prediction over no time: there is no library to be made."""
+    assert realise_together([], backend) == []

@@ -1,6 +1,7 @@
 """The flight in C is the flight of the Python loop: every column and the record, to the last bit."""
 
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,7 @@ from quadexp.world.true_vehicle import TrueVehicle
 from quadexp.world.world import World
 from tests.models.residuals import BLADE, make_residual, with_rotors
 from tests.properties.paths import Wander, near
+from tests.slow import slow
 
 Q = ("q_w", "q_x", "q_y", "q_z")
 LEI_LI = Sensors(accelerometer_bias=(0.001, 0.001, -0.001), accelerometer_noise=(0.05, 0.05, 0.05))
@@ -136,12 +138,13 @@ def draw(seed, vehicle):
     return plant, controller, path, options
 
 
-# Of 24 draws those with nearly all pairs of plant, residual, path, sensor, bounds and settings.
+# Of 24 draws those with nearly all pairs of plant, residual, path, sensor, bounds and settings; by default every second
+# of them, with every plant, residual, path and setting.
 FEW = (0, 1, 3, 4, 7, 12, 13, 15, 16, 17, 18, 20, 21, 23)
 
 
 @compiled
-@pytest.mark.parametrize("seed", FEW)
+@pytest.mark.parametrize("seed", [*FEW[::2], *slow(*FEW[1::2])])
 def test_any_flight(monkeypatch, vehicle, seed):
     plant, controller, path, options = draw(seed, vehicle)
     both(monkeypatch, plant, controller, path, **options)
@@ -170,11 +173,14 @@ WORLD = [
 ]
 
 
+SEEDS, ALL = (9, 11, 15, 18), (0, 1, 2, 3, 4, 5)
+EFFECTS = {"wind": (0,), "link": (1,), "estimate": (2,), "motors": (3, 4, 5)}
+ONE_EACH = [*((seed, ALL) for seed in SEEDS), *zip(SEEDS, EFFECTS.values(), strict=True)]  # and all with every plant
+MORE = [pair for pair in product(SEEDS, EFFECTS.values()) if pair not in ONE_EACH]
+
+
 @compiled
-@pytest.mark.parametrize(
-    "effects", [[0], [1], [2], [3, 4, 5], [0, 1, 2, 3, 4, 5]], ids=["wind", "link", "estimate", "motors", "all"]
-)
-@pytest.mark.parametrize("seed", [9, 11, 15, 18])
+@pytest.mark.parametrize(("seed", "effects"), [*ONE_EACH, *slow(*MORE)])
 def test_any_flight_in_a_world(monkeypatch, vehicle, seed, effects):
     """The same with effects around the plant; the seeds bring the three plants."""
     plant, controller, path, options = draw(seed, vehicle)

@@ -17,7 +17,6 @@ from tests.cli.command import run
 
 DURATION = 0.4  # s of a flight
 MOST = 4  # cells of an experiment
-LONG = ("sun_equal", "sun_ours")  # run by `make test-slow`; sun and sun_quick are of the same kind
 with session() as composer:
     EXPERIMENTS = composer.options("experiment")
 
@@ -30,6 +29,15 @@ class Beginning:
 
     def __getattr__(self, name):
         return getattr(self._whole, name)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _interpreted():
+    """Compiling a form takes longer than its flights of 0.4 s take in CasADi's virtual machine. What is built so is not
+    left to other tests."""
+    with pytest.MonkeyPatch.context() as changed, unshared():
+        changed.setenv("CC", "none")
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -86,9 +94,7 @@ def no_processes(run_sweep, *cells, **options):
     return run_sweep(*cells, **options | {"isolate": False})
 
 
-@pytest.mark.parametrize(
-    "experiment", [pytest.param(name, marks=pytest.mark.slow) if name in LONG else name for name in EXPERIMENTS]
-)
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_every_experiment_ends_with_its_table_and_its_report(experiment, reduced):
     words = ["evaluate", "--sweep", f"experiment={experiment}", "--out", "r"]
     code, out, err = run(*words, "--json")

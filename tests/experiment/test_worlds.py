@@ -240,7 +240,7 @@ def test_a_flight_is_the_same_after_another(first, then):
 )
 def test_rotors_begin_with_the_thrusts_of_a_reference_in_motion(given):
     """They turn at sqrt(T / k)."""
-    config = compose([*given, *IN_MOTION, "trajectory.duration=0.1", "controller=dfbc"])
+    config = compose([*given, *IN_MOTION, "trajectory.duration=0.1", "controller=dfbc", *INTERPRETED])
     flight = fly_one(config)
     speeds, thrusts = (flight.stack([f"{name}_{i}" for i in range(4)])[0] for name in ("rotor_speed", "ref_u"))
     k = build_vehicle(config.vehicle).static_thrust_coefficient

@@ -1,4 +1,4 @@
-"""The thrust scale of each flight is significantly different from the lift and the drag of the speed it was flown
+"""The thrust scale of each flight is distinguished from the lift and the drag of the speed it was flown
 at."""
 
 import numpy as np

@@ -17,7 +17,7 @@ def unsaid():
 
 def test_the_group_of_the_rate_loop(capsys):
     old = compose(["controller=dfbc", "inner=indi", "inner.cutoff=8"])
-    assert "inner: is rate_loop now" in capsys.readouterr().err
+    assert "inner: is called rate_loop now" in capsys.readouterr().err
     new = compose(["controller=dfbc", "rate_loop=indi", "rate_loop.cutoff=8"])
     assert capsys.readouterr().err == ""
     assert old == new and old.rate_loop.cutoff == 8
@@ -46,4 +46,4 @@ def test_modules(old, capsys):
 def test_names(module, old, capsys):
     home, _, new = former.NAMES[module][old].partition(":")
     assert getattr(importlib.import_module(module), old) is getattr(importlib.import_module(home), new)
-    assert f"{old}: is {new} now" in capsys.readouterr().err
+    assert f"{old}: is called {new} now" in capsys.readouterr().err

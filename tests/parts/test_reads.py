@@ -120,7 +120,7 @@ def test_python_refuses_the_same(call, keywords, message):
 
 
 def test_every_group_and_key_is_a_keyword():
-    """Each is significantly different from a key of the trajectory, also where it chooses for other groups."""
+    """Each is told from a key of the trajectory, also where it chooses for other groups."""
     from quadexp.api import overrides
 
     for text in TEXTS:

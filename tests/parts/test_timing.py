@@ -36,8 +36,8 @@ def test_it_stands_for_the_keys_of_the_parts(together, apart):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("controller=pid timing.dead_time=0.01", "timing.dead_time=0.01: nothing that flies takes it"),
-        ("timing.age=0.01", "timing.age=0.01: nothing that flies takes it: add delay=prediction"),
+        ("controller=pid timing.dead_time=0.01", "timing.dead_time=0.01: nothing in this configuration uses it"),
+        ("timing.age=0.01", "timing.age=0.01: nothing in this configuration uses it: add delay=prediction"),
         ("timing.dead_time=2", "must be in"),
         ("timing.dead=1", "did you mean timing.dead_time"),
     ],

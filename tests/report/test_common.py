@@ -109,7 +109,7 @@ class TestFifteenOfTwentyNotFlown:
         comparison = read_comparison(tmp_path)
         said = answer(comparison)
         assert said.flown == "Completed flights: perfect_mpc, linear_drag_mpc and nominal_mpc 20 of 20, gp_mpc 5 of 20."
-        assert "Least over the 5 flights that all completed, bounds aside: gp_mpc, but others completed" in said.gain
+        assert "Least over the 5 flights that all completed, oracles aside: gp_mpc, but others completed" in said.gain
         assert not comparison.verdict.best
         first, *_, last = scoreboard(comparison).rows
         assert (last[0].text, last[1].lost) == ("gp_mpc", "5 of 20")

@@ -7,6 +7,7 @@ from benchmarks.stress import SITUATIONS, STEPS_EACH, make_controllers, stress, 
 from quadexp.compile.backend import compiler
 from quadexp.control.mpc.active_set import Status
 from quadexp.errors import QuadexpError
+from tests.slow import slow
 
 MODELS = tuple(stress_residuals(stress_vehicle()))
 
@@ -23,7 +24,7 @@ def check(outcome, steps: int) -> None:
             assert name == "extreme" or not counts[Status.FAILED.name], name
 
 
-@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("model", ["gaussian_process", "blade_element", *slow("none", "linear_drag")])
 def test_hundreds_of_steps(model):
     """One or two of every situation, interpreted."""
     steps = 16 * STEPS_EACH

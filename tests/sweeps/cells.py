@@ -13,6 +13,7 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import describe, result_row
 from quadexp.log.store import write_flight
 from quadexp.sweeps.engine import Workers
+from quadexp.writer import write_text
 from tests.log.flights import straight_flight
 
 
@@ -99,6 +100,30 @@ def poisoned_cell(config, model, path, key):
     if config.seed == 5:
         ctypes.string_at(0)
     return quick_cell(config, model, path, key)
+
+
+@dataclass(frozen=True)
+class HeldCell:
+    """quick_cell, but the first try of each of some seeds never ends: its process waits to be killed, while it flies
+    and holds nothing that other processes need. Its id then stands in a file, named after the seed."""
+
+    folder: str
+    seeds: tuple[int, ...]
+
+    def __call__(self, config, model, path, key):
+        mark = Path(self.folder) / str(config.seed)
+        if config.seed in self.seeds and not mark.exists():
+            write_text(mark, str(os.getpid()))  # at once or not at all
+            while True:
+                time.sleep(0.1)
+        return quick_cell(config, model, path, key)
+
+    def flown_by(self):
+        """Ids of the processes that wait, once all of them do."""
+        marks = [Path(self.folder) / str(seed) for seed in self.seeds]
+        while not all(mark.exists() for mark in marks):
+            time.sleep(0.01)
+        return [int(mark.read_text()) for mark in marks]
 
 
 def slow_cell(config, model, path, key):

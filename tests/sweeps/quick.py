@@ -1,4 +1,5 @@
-"""A sweep of four quick cells, the bytes of its files, and a sweep of slow cells by a process of its own."""
+"""A sweep of four quick cells, the bytes of its files, and a sweep by a process of its own that does not end by
+itself."""
 
 import os
 import subprocess
@@ -22,6 +23,7 @@ def contents(folder):
 
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = """
+import os
 import sys
 from quadexp.errors import QuadexpError
 from quadexp.parts.compose import expand
@@ -30,13 +32,13 @@ from tests.sweeps import cells
 
 if __name__ == "__main__":
     out, address, *overrides = sys.argv[1:]
-    engine = None
+    engine, function = None, cells.HeldCell(os.path.dirname(out), (8, 9))
     if address:
         from tests.plugins.cluster.test_dask import at
-        engine = at(address)
+        engine, function = at(address), cells.slow_cell
     say = lambda done, total: print(done, flush=True)
     try:
-        run_sweep(expand(overrides), out, workers=2, function=cells.slow_cell, engine=engine, progress=say)
+        run_sweep(expand(overrides), out, workers=2, function=function, engine=engine, progress=say)
     except QuadexpError as error:
         print("error:", error, flush=True)
         sys.exit(error.exit_code)
@@ -44,7 +46,8 @@ if __name__ == "__main__":
 
 
 def start(folder: Path, *overrides: str, address: str = "") -> subprocess.Popen:
-    """A sweep into folder/r; the process leads a group of its own. address: of a scheduler, "" for two processes."""
+    """A sweep into folder/r; the process leads a group of its own. address: of a scheduler, which flies slow cells; ""
+    for two processes of this machine, which stop after eight cells and wait for their end (HeldCell)."""
     (folder / "driver.py").write_text(SCRIPT)
     return subprocess.Popen(
         [sys.executable, str(folder / "driver.py"), str(folder / "r"), address, *overrides],

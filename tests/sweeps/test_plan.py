@@ -142,6 +142,6 @@ def test_before_a_sweep_it_is_said_how_many_seeds_could_show_a_difference(asked,
     enough = next(n for n in range(2, 99) if comparisons * 2 / 2**n < 0.05)
     for seeds in range(2, 14):
         said = too_few_seeds(expand([*asked, f"seed=range({seeds})"]).grids, "nominal_mpc", 0.95)
-        expected = f"no single line can be significant with {seeds} seeds; seed='range({enough})' could"
+        expected = f"{seeds} seeds cannot show a significant difference in a line; seed='range({enough})' can"
         assert said == (expected if seeds < enough else "")
     assert not too_few_seeds(expand(["controller=gp_mpc", "seed=0,1"]).grids, "nominal_mpc", 0.95)  # no comparison

@@ -20,6 +20,7 @@ from quadexp.world import PlantEffects, SimplifiedPlant
 from quadexp.world.disturbance import Disturbance
 from quadexp.world.true_vehicle import with_factors, with_payload
 from quadexp.world.world import World
+from tests.slow import slow
 from tests.world.airframes import REST, ideal
 
 HOVER = ["trajectory=hover", "trajectory.duration=4", "controller=nominal_mpc", "plant.backend=interpreted"]
@@ -131,8 +132,13 @@ def test_winds_that_do_not_change_are_the_constant_wind(tmp_path):
         assert flight.stack(WINDS) == pytest.approx(constant.stack(WINDS), abs=1e-14)
 
 
-@pytest.mark.parametrize("step", [2e-3, 2e-2])
-@pytest.mark.parametrize("intensity", [(0.3, 0.2, 0.1), (1.0, 2.0, 1.5), (4.0, 3.0, 2.0)])
+WEAK, MIDDLE, STRONG = (0.3, 0.2, 0.1), (1.0, 2.0, 1.5), (4.0, 3.0, 2.0)  # m/s
+
+
+@pytest.mark.parametrize(
+    ("step", "intensity"),
+    [(2e-3, WEAK), (2e-2, STRONG), *slow((2e-3, MIDDLE), (2e-2, MIDDLE), (2e-3, STRONG), (2e-2, WEAK))],
+)
 def test_a_flight_meets_the_turbulence_asked_for(step, intensity):
     """Deviation along, across and vertical within 3 %, and correlation from period to period, for a wind to the north.
 

@@ -29,6 +29,7 @@ from quadexp.world.streams import part_stream
 from quadexp.world.world import World
 from tests import paper
 from tests.models.residuals import with_rotors
+from tests.slow import slow
 from tests.world.airframes import REST, commands, ideal, sampled, start
 
 PERIOD = 0.02
@@ -111,7 +112,7 @@ def test_the_accelerometers_noise_has_the_stream_that_it_had(vehicle):
     assert np.abs(flight["force"][1:] - expected).max() < 1e-9
 
 
-@pytest.mark.parametrize("kind", ["position", "velocity", "attitude"])
+@pytest.mark.parametrize("kind", ["position", "attitude", *slow("velocity")])
 def test_a_gauss_markov_error(vehicle, kind):
     """S^2 exp(-tau / T), over many flights that each begin in the stationary distribution."""
     deviation, time = 0.05, 0.2

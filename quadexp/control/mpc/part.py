@@ -50,7 +50,9 @@ class MPC(PredictivePart):
 
     added = ("fallback",)
     residual: str = key(REQUIRED, RESIDUAL)
-    fallback: bool = key(False, "weigh a Gaussian process by its variance: outside its data it is drag fitted to it")
+    fallback: bool = key(
+        False, "weigh a Gaussian process by its variance: outside its data it becomes drag that is fitted to it"
+    )
 
     def model(self, context: BuildContext) -> Any:
         """See PredictivePart."""

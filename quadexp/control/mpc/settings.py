@@ -38,7 +38,7 @@ class MPCSettings(Settings):
         " under delay=auto the deviation",
     )
     dead_time: float = key(
-        0.0, "known delay of thrust, predicted over; with any lag that motor_lag does not model", "[0, 0.5]", "s"
+        0.0, "known delay of thrust, which is predicted; with any lag that motor_lag does not model", "[0, 0.5]", "s"
     )
     motor_lag: float = key(
         0.0, "known time constant of the rotor thrusts, which then are states of the model; 0: no lag", "[0, 0.5]", "s"

@@ -16,7 +16,7 @@ def archive(
     out: Out = Path("archive.zip"),
     force: Force = False,
 ) -> Answer:
-    """Pack what flies a sweep again elsewhere: settings, your parts, models, versions, hashes, tables and figures.
+    """Pack a sweep to fly it again elsewhere: settings, your parts, models, versions, hashes, tables and figures.
 
     The README inside has the commands that check the files, fly the sweep again and compare the numbers.
 

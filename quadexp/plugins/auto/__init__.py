@@ -1,3 +1,3 @@
-"""One setting for a vehicle that nobody measured: what is late, off, or blown, assumed as far as the evidence goes."""
+"""One setting for a vehicle that nobody measured: delays, errors of its model and wind are estimated in flight."""
 
 BRINGS = {"parts": {"auto": "quadexp.plugins.auto.part"}, "services": {"beliefs": "quadexp.plugins.auto.beliefs"}}

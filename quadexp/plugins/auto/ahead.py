@@ -44,36 +44,48 @@ def span_weights(count: int, period: float) -> ca.Function:
     return ca.Function("span_weights", [span], [weights[::-1]])
 
 
-def prediction_numbers(weights: ca.Function, parts: int, begin: Any, end: Any, dead_time: Any, lag: Any) -> list[Any]:
-    """What an Ahead is given a span, from now (s), and of what commands wait and lag (s): how long each of its parts
-    is, the weights of commands in it, and whether there is any."""
+def prediction_numbers(
+    of: str, weights: ca.Function, parts: int, span: tuple[Any, Any], dead_time: Any, lag: Any
+) -> dict[str, Any]:
+    """What an Ahead is given a span, from now (s), and of what commands wait and lag (s), by `Ahead.tuned`: how long
+    each of its parts is, the weights of commands in it, and whether there is any."""
+    begin, end = span
     starts = ca.fmin(begin + STEP * ca.DM(range(parts)), end)
     ends = ca.fmin(starts + STEP, end)
     spans = ca.horzcat(starts, ends, ca.repmat(ca.horzcat(dead_time, lag), parts, 1)).T
-    return [ends - starts, weights.map(parts)(spans), end > begin]
+    return {f"{of}_dt": ends - starts, f"{of}_weights": weights.map(parts)(spans), f"{of}_moves": end > begin}
 
 
 class Ahead:
     """The state at the end of a span of time, from that at its beginning.
 
     model: its vehicle, residual and backend. shared: arrays that the prediction reads, see delay.prediction. longest
-    span: (s). tuned: arrays of what it is given the span, see prediction_numbers.
+    span: (s).
     """
 
     def __init__(
-        self, vehicle: Vehicle, residual: Residual, backend: str, commands: SentCommands,
-        shared: Mapping[str, np.ndarray], longest: float = BANK.largest_age,
-    ) -> None:  # fmt: skip
+        self,
+        vehicle: Vehicle,
+        residual: Residual,
+        backend: str,
+        commands: SentCommands,
+        shared: Mapping[str, np.ndarray],
+        longest: float = BANK.largest_age,
+    ) -> None:
         self.parts = math.ceil(longest / STEP - 1e-9)
         function = cached_function(backend, prediction, vehicle, residual, self.parts, len(commands.values))
         self._predict = BufferedFunction(function, {"commands": commands.values, **shared})
         given, self._moves = self._predict.arguments, np.zeros(1)
         self._x, self._end = given["x"], self._predict.results["now"]
-        self.tuned = [given["dt"], given["weights"], self._moves]
         if "scale" not in shared:
             given["scale"][0] = 1.0
         if "theta" not in shared:
             given["theta"][...] = residual.theta
+
+    def tuned(self, of: str) -> dict[str, np.ndarray]:
+        """Arrays of what it is given a span, see prediction_numbers."""
+        given = self._predict.arguments
+        return {f"{of}_dt": given["dt"], f"{of}_weights": given["weights"], f"{of}_moves": self._moves}
 
     def before(self, state: np.ndarray) -> tuple[list[Call], np.ndarray]:
         """Predicts from the state that is found there, (13,), and the array that has that of the end then."""

@@ -1,7 +1,7 @@
 """A law in closed form under one setting: it is given the state and the reference of the time at which its command
 acts.
 
-    late -> now -> observer of the force, given to the law -> in dead time and lag (Sooner) -> law
+    late -> now -> observer of the force, given to the law -> in dead time and lag -> law
 
 A law that cannot be given a force or wind is given the delays only.
 
@@ -25,11 +25,9 @@ import numpy as np
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.memory import NEXT, NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import N_BELIEF, Window
+from quadexp.control.base import N_BELIEF
 from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, ControlStep, InputArrays, call, control_step_of, copy
-from quadexp.control.delivered import SentCommands
-from quadexp.control.wrapped import WrappedController
 from quadexp.models.residual import no_residual
 from quadexp.parts.sensor_spec import SensorSpec
 from quadexp.physics.expression import dense_function, named_symbols
@@ -41,42 +39,54 @@ from quadexp.plugins.auto.decide import Decision
 from quadexp.plugins.auto.settings import BANK, PATH
 
 DERIVATIVES = 5  # of the path: position .. snap
-OF_LAW = "ahead_dt", "ahead_weights", "ahead_moves", "ahead", "at", "jump_rows"
 LONGEST = BANK.largest_dead_time + BANK.largest_lag  # s, that a law is given ahead
 
 
 class AutoLaw(Auto):
-    """A law."""
+    """A law, which is given the state and the reference of the time at which its command acts."""
 
     def __init__(self, core: Any, sensor_spec: SensorSpec) -> None:
-        world = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}
-        commands = sent_commands(core.vehicle, core.control_period)
-        sooner = Sooner(core, commands, world)
-        super().__init__(sooner, core, sensor_spec, no_residual(core.vehicle), world, commands)
-        self._spacing = self.control_period / PATH.samples
+        vehicle, backend, air = core.vehicle, core.backend, no_residual(core.vehicle)
+        world = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}  # assumed, for the predictions
+        commands = sent_commands(vehicle, core.control_period)
+        super().__init__(core, sensor_spec, air, world, commands)
+        self._ahead = Ahead(vehicle, air, backend, commands, world, LONGEST)
+        self._world = BufferedFunction(cached_function(backend, world_of, vehicle), into=world)
+        self._later = cached_function(backend, later, vehicle, self.control_period)
+        self._believed, self._jumps = Memory("Believed", worked=world), Memory("Sooner", sizes_of([self._later]))
+        self._times, self._jump_rows = {"ahead": np.zeros(1), "at": np.zeros(1)}, np.zeros(3)
+        spacing = self.control_period / PATH.samples
         longest = LONGEST + max(PATH.looks + 2 * self.control_period, core.node_times[-1])
-        self.node_times = self._spacing * np.arange(math.ceil(longest / self._spacing) + 2)
+        self.node_times = spacing * np.arange(math.ceil(longest / spacing) + 2)
         core.rows = self._rows
-        form = len(commands.values), sooner.parts, self._spacing, tuple(core.node_times.tolist()), self.believes
-        self._plans({}, sooner.tuned, law_form, *form)
-        self._sooner = sooner
-
-    def _compared(self, inputs: InputArrays, now: np.ndarray) -> tuple[list[Call], dict[str, np.ndarray], np.ndarray]:
-        """See Auto."""
-        thrust, mean = self._delivered.thrusts
-        return (
-            self._delivered.before(),
-            {"x": now, "reading": inputs.specific_force, "thrust": thrust, "mean": mean},
-            inputs.accelerometer_valid,
-        )
+        form = len(commands.values), self._ahead.parts, spacing, tuple(core.node_times.tolist()), self.believes
+        tuned = self._ahead.tuned("ahead") | self._times | {"jump_rows": self._jump_rows}
+        self._plans({}, tuned, law_form, *form)
 
     def _retuned(self, when: np.ndarray | None = None) -> list[Call]:
         """See Auto: what was given the path is of another time."""
-        return [*super()._retuned(when), copy(self._sooner.memory.of_next["goes_on"], np.zeros(1), when)]
+        return [*super()._retuned(when), copy(self._jumps.of_next["goes_on"], np.zeros(1), when)]
 
     def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
         """See Auto."""
-        return [*super().starts(x, thrust), (self._sooner.believed, {"scale": np.ones(1)})]
+        return [*super().starts(x, thrust), (self._jumps, {}), (self._believed, {"scale": np.ones(1)})]
+
+    def _planned(self, inputs: InputArrays, now: np.ndarray) -> ControlStep:
+        """See Auto."""
+        left = {"path_then": np.zeros((DERIVATIVES, 3)), "yaw_then": np.zeros(4)}
+        predicted, then = self._ahead.before(now)
+        states, thrusts = np.zeros((3, N_STATE)), np.zeros((2, self.vehicle.n_rotors))
+        places = {"states": states, "path": inputs.path, "yaw": inputs.yaw, **self._times}
+        calls = [*predicted, Call("window", states, self._jump_rows, thrusts)]
+        calls.append(call(connected(self._later, places, left, self._jumps)))
+        inside = copying.copy(inputs)
+        inside.path, inside.yaw = left["path_then"], left["yaw_then"]  # type: ignore[assignment]  # of these shapes
+        step = control_step_of(self.wrapped, inside, then)
+        if self.believes:
+            world, found, believed = self._world.arguments, self._world.results, self._core.believed_numbers
+            calls += [copy(world["belief"], believed), copy(world["path"], left["path_then"])]
+            calls += [call(self._world), copy(believed[:3], found["force"])]
+        return step._replace(calls=[*calls, *step.calls], memory=(*step.memory, self._jumps, self._believed))
 
 
 def law_form(
@@ -89,65 +99,9 @@ def law_form(
     ahead = dead_time + lag
     first = ca.floor(ahead / spacing + 0.5)
     looks = first + round(PATH.looks / spacing)
-    numbers = prediction_numbers(span_weights(count, period), parts, 0, ahead, dead_time, lag)
-    rest = dict(zip(OF_LAW, [*numbers, ahead, looks * spacing, looks + PATH.samples * ca.DM(range(3))], strict=True))
+    rest = prediction_numbers("ahead", span_weights(count, period), parts, (0, ahead), dead_time, lag)
+    rest |= {"ahead": ahead, "at": looks * spacing, "jump_rows": looks + PATH.samples * ca.DM(range(3))}
     return {}, (dead_time, lag), first + ca.DM(np.round(np.array(nodes) / spacing)), rest
-
-
-class Sooner(WrappedController):
-    """A law that is given the state and the reference of the time at which its command acts.
-
-    commands: that were sent. world: what is assumed of it, for the prediction, written here. tuned: arrays of what
-    commands wait and lag, see law_form: of the prediction; how far ahead it is given, and from when on, `at` (s), a
-    jump is seen, and in which rows of the reference.
-    """
-
-    def __init__(self, core: Any, commands: SentCommands, world: dict[str, np.ndarray]) -> None:
-        super().__init__(core)
-        residual = no_residual(core.vehicle)
-        self._ahead = Ahead(core.vehicle, residual, core.backend, commands, world, LONGEST)
-        self._rows, self.parts = np.zeros(3), self._ahead.parts  # of the reference
-        self._later = cached_function(core.backend, later, core.vehicle, core.control_period)
-        self.memory, self.believed = Memory("Sooner", sizes_of([self._later])), Memory("Believed", worked=world)
-        self._tuned = {"ahead": np.zeros(1), "at": np.zeros(1)}
-        told = [*self._ahead.tuned, *self._tuned.values(), self._rows]
-        self.tuned = dict(zip(OF_LAW, told, strict=True))
-        self._world = BufferedFunction(cached_function(core.backend, world_of, core.vehicle), into=world)
-
-    def reset(self, x: np.ndarray, window: Window) -> None:
-        """See Controller.reset."""
-        super().reset(x, window)
-        self.memory.begin({})
-        self.believed.begin({"scale": np.ones(1)})
-
-    @property
-    def believed_numbers(self) -> np.ndarray:
-        """Of the law; (11,)."""
-        wrapped: Any = self.wrapped
-        numbers: np.ndarray = wrapped.believed_numbers
-        return numbers
-
-    def believe(self, belief: Any) -> None:
-        """See control.base.Belief."""
-        self.believed_numbers[:] = np.hstack([*belief])
-
-    def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
-        """See control.control_step."""
-        left = {"path_then": np.zeros((DERIVATIVES, 3)), "yaw_then": np.zeros(4)}
-        predicted, then = self._ahead.before(state)
-        states, thrusts = np.zeros((3, N_STATE)), np.zeros((2, self.vehicle.n_rotors))
-        places = {"states": states, "path": inputs.path, "yaw": inputs.yaw, **self._tuned}
-        calls = [Call("window", states, self._rows, thrusts)]
-        calls.append(call(connected(self._later, places, left, self.memory)))
-        inside = copying.copy(inputs)
-        inside.path, inside.yaw = left["path_then"], left["yaw_then"]  # type: ignore[assignment]  # of these shapes
-        step = control_step_of(self.wrapped, inside, then)
-        if hasattr(self.wrapped, "believed_numbers"):
-            world, found = self._world.arguments, self._world.results
-            believed = [copy(world["belief"], self.believed_numbers), copy(world["path"], left["path_then"])]
-            calls = [*calls, *believed, call(self._world), copy(self.believed_numbers[:3], found["force"])]
-        memory = (*step.memory, self.memory, self.believed)
-        return step._replace(calls=[*predicted, *calls, *step.calls], memory=memory)
 
 
 def later(vehicle: Vehicle, period: float) -> ca.Function:

@@ -10,7 +10,6 @@ import numpy as np
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.memory import Memory
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Window
 from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, ControlStep, InputArrays, call, copy
 from quadexp.control.delivered import INSTANT
@@ -39,7 +38,7 @@ class AutoMPC(Auto):
         self._believed = Memory("Believed", worked=self._last)
         self._now = {"push": mpc.disturbance, "wind": numbers[6:9], "scale": numbers[9:10]}
         commands = sent_commands(core.vehicle, core.control_period)
-        super().__init__(core, core, sensor_spec, mpc.residual, {"theta": parameters_of(core), **self._last}, commands)
+        super().__init__(core, sensor_spec, mpc.residual, {"theta": parameters_of(core), **self._last}, commands)
         self._world, self._grids = core.believed, grids(core.settings)
         core.predictor, core.lead = CommandsAhead(mpc), MotorLead(mpc.limits, core.settings, core.backend)
         self._spacing = self.control_period / DECISION.samples
@@ -51,7 +50,7 @@ class AutoMPC(Auto):
         sizes = tuple((name, value.size) for name, value in of_grids[0].items())
         self._table = {"table": np.stack([np.hstack([*map(np.ravel, each.values())]) for each in of_grids])}
         ahead, sent = core.predictor, len(core.predictor.sent.values)
-        tuned = dict(zip(OF_MPC, [*ahead.ahead.tuned, ahead.delivered.tuned, core.lead.gain], strict=True))
+        tuned = ahead.ahead.tuned("ahead") | {"delivered_ahead": ahead.delivered.tuned, "gain": core.lead.gain}
         tuned |= self._world.times | {name: mpc.step.arguments[name] for name in mpc.weights(core.settings)}
         self._plans(self._table, tuned, mpc_form, self._spacing, sent, ahead.ahead.parts, sizes)
         function = cached_function(core.backend, resampled, *mpc._X.T.shape, mpc._U.shape[1])
@@ -62,14 +61,6 @@ class AutoMPC(Auto):
         self._worked = [(to, of.reshape(-1)) for to, of in zip(worked.values(), moved.values(), strict=True)]
         whole = round(later_speeds(sensor_spec) / self.control_period) * self.control_period  # thrusts jump in between
         self._delay_line = DelayLine(N_STATE + 4, whole, self.control_period, core.backend)
-
-    def reset(self, x: np.ndarray, window: Window) -> None:
-        """See Controller.reset."""
-        super().reset(x, window)
-        self._delay_line.reset(np.concatenate([x, np.zeros(4)]))
-        for name, value in (("push", 0.0), ("wind", 0.0), ("scale", 1.0)):
-            self._last[name][...] = value
-        self._believed.commit()
 
     def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
         """See Auto."""
@@ -89,9 +80,7 @@ class AutoMPC(Auto):
     def _compared(self, inputs: InputArrays, now: np.ndarray) -> tuple[list[Call], dict[str, np.ndarray], np.ndarray]:
         """See Auto. Rotor speeds are compared with the state and reading of their time."""
         if not self._by_speeds:
-            thrust, mean = self._delivered.thrusts
-            known = {"x": now, "reading": inputs.specific_force, "thrust": thrust, "mean": mean}
-            return self._delivered.before(), known, inputs.accelerometer_valid
+            return super()._compared(inputs, now)
         seen, delay_line, thrust = np.zeros(N_STATE + 4), self._delay_line, np.zeros(self.vehicle.n_rotors)
         calls = [
             copy(seen[:N_STATE], now),
@@ -120,9 +109,6 @@ class AutoMPC(Auto):
         return [*tune, call(self._resample, regrids), *(copy(to, of, regrids) for to, of in self._worked)]
 
 
-OF_MPC = "ahead_dt", "ahead_weights", "ahead_moves", "delivered_ahead", "gain"
-
-
 def mpc_form(
     acts: Decision, period: float, spacing: float, sent: int, parts: int, sizes: tuple[tuple[str, int], ...]
 ) -> tuple[Any, ...]:
@@ -134,14 +120,16 @@ def mpc_form(
     waits = spacing * ca.floor(ca.fmin(waits, s.largest_wait) / spacing + 0.5)
     lag = acts.total - waits
     lag = ca.if_else(lag > s.least_lag, lag, 0)
-    rest = prediction_numbers(weights := span_weights(sent, period), parts, 0, waits, waits, lag)
-    rest += [weights(ca.vertcat(waits, waits, waits, lag)), 1 / (1 - ca.exp(-period / ca.fmax(lag, INSTANT)))]
+    weights = span_weights(sent, period)
+    rest = prediction_numbers("ahead", weights, parts, (0, waits), waits, lag)
+    rest["delivered_ahead"] = weights(ca.vertcat(waits, waits, waits, lag))
+    rest["gain"] = 1 / (1 - ca.exp(-period / ca.fmax(lag, INSTANT)))
     names, counts = zip(*sizes, strict=True)
     table = ca.MX.sym("table", sum(counts), 1 + len(s.grids))
     chosen = table[ca.DM(range(sum(counts))) + sum(counts) * acts.grid]
     numbers = dict(zip(names, split(chosen, counts), strict=True))
     numbers["times"] = waits + numbers["times"]
-    rows, results = ca.floor(numbers["times"] / spacing + 0.5), dict(zip(OF_MPC, rest, strict=True)) | numbers
+    rows, results = ca.floor(numbers["times"] / spacing + 0.5), rest | numbers
     results["since"] = numbers["times"][:: (rows.numel() - 1) // numbers["dt"].numel()]
     return {"table": table}, (acts.dead_time, acts.lag), rows, results
 

@@ -20,7 +20,7 @@ import numpy as np
 from quadexp.compile.backend import BufferedFunction
 from quadexp.compile.memory import Memory, connected
 from quadexp.compile.symbolic import ca
-from quadexp.control.base import Controller, Window
+from quadexp.control.base import Window
 from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, ControlStep, InputArrays, call, control_step_of, copy, run
 from quadexp.control.delivered import SentCommands
@@ -45,8 +45,12 @@ from quadexp.plugins.remedies.observers.wind import WindObserver, wind_bandwidth
 QUANTITIES = "age", "delay", "lag"
 KNOWN = (
     *(f"{name}{of}" for of in ("", "_low", "_high") for name in QUANTITIES),
-    "rates_newer", "acts_age", "acts_dead_time", "acts_lag", "grid",
-)  # fmt: skip
+    "rates_newer",
+    "acts_age",
+    "acts_dead_time",
+    "acts_lag",
+    "grid",
+)
 ACTS = "acts_lateral", "acts_vertical", "acts_torque"
 COLUMNS = tuple(f"auto_{name}" for name in (*KNOWN, *ACTS, *DEVIATIONS))
 
@@ -54,37 +58,34 @@ COLUMNS = tuple(f"auto_{name}" for name in (*KNOWN, *ACTS, *DEVIATIONS))
 class Auto(WrappedController):
     """A controller that finds out in flight what makes its model wrong.
 
-    inner: the controller that it stands around. core: the MPC or law inside. sheet: of the sensors. residual: of the
-    prediction to now. assumed: arrays of the assumed world, for Ahead. commands: those that were sent.
-    A subclass says how it plans (`_plan`), and what delivered thrusts its filter compares (`_compared`).
+    core: the MPC or law that it stands around. residual: of the prediction to now.
+    believed: arrays of the assumed world, for Ahead. commands: those that were sent. A subclass says how it plans
+    (`_plans`), and may compare other thrusts than those that the commands give (`_compared`).
     """
 
     delay = 0.0  # of a flight that begins
 
     def __init__(
-        self, wrapped: Controller, core: Any, sensor_spec: SensorSpec, residual: Residual, believed: dict[str,
-        np.ndarray],
+        self,
+        core: Any,
+        sensor_spec: SensorSpec,
+        residual: Residual,
+        believed: dict[str, np.ndarray],
         commands: SentCommands,
-    ) -> None:  # fmt: skip
-        super().__init__(wrapped)
-        self._core, self._sheet, self._commands, vehicle, period = (
-            core,
-            sensor_spec,
-            commands,
-            wrapped.vehicle,
-            self.control_period,
-        )
-        self._to_now = Ahead(vehicle, residual, wrapped.backend, commands, believed)
+    ) -> None:
+        super().__init__(core)
+        self._core, self._sheet, self._commands = core, sensor_spec, commands
+        vehicle, backend, period = core.vehicle, core.backend, self.control_period
+        self._to_now = Ahead(vehicle, residual, backend, commands, believed)
         self._late = np.zeros(1)
         part, about = TunedStrapdown(time=BANK.largest_age), Circumstances(period)
-        self._strapdown = Layer(wrapped, part, about, places={"late": self._late})
-        force, turn, attitude = (
-            Stated() if one is None else one
-            for one in (sensor_spec.accelerometer, sensor_spec.gyroscope, sensor_spec.attitude)
-        )
+        self._strapdown = Layer(core, part, about, places={"late": self._late})
+        force = sensor_spec.accelerometer or Stated()
+        turn = sensor_spec.gyroscope or Stated()
+        attitude = sensor_spec.attitude or Stated()
         air, theta = air_of(core), parameters_of(core)
         noise, spans = (force.noise, turn.noise, attitude.noise), (force.within(period), turn.within(period))
-        self._bank = Bank(vehicle, air, theta, period, wrapped.backend, noise, spans)
+        self._bank = Bank(vehicle, air, theta, period, backend, noise, spans)
         predictive, self.believes = isinstance(core, PredictiveController), hasattr(core, "believed_numbers")
         self._by_speeds, wind = predictive and speeds_tell(vehicle, sensor_spec), WindObserver()
         bandwidth = wind_bandwidth(vehicle, air, theta, wind, period) if predictive else 0.0
@@ -92,11 +93,11 @@ class Auto(WrappedController):
         self._has_drag = bandwidth >= DISTURBANCE.least_drag_bandwidth and not self._by_speeds
         of = sources(vehicle, sensor_spec, slope * self._has_drag, by_speeds=self._by_speeds)
         self._memory = Memory("Auto", KEPT)
-        now, flags = self._memory.of_now, ("searches", "refines")
+        now, flags = self._memory.of_now, ("searches", "rounds")
         told = {name: self._bank.part(name) for name in ("lateral", "noise")}
         told |= {"timing": now["decision"][-1:], "apart": now["apart"]}
-        self._filter = DisturbanceFilter(vehicle, air, theta, period, wrapped.backend, of, told)
-        self._search = Search(self._bank, wrapped.backend, {name: now[name] for name in flags}, now["against"])
+        self._filter = DisturbanceFilter(vehicle, air, theta, period, backend, of, told)
+        self._search = Search(self._bank, backend, {name: now[name] for name in flags}, now["against"])
         # By which age and delays cannot be distinguished: by readings that are old, or as old as nobody says, as far as
         # a data sheet may be wrong; and within a period of the bank a faster law answers to noise.
         apart = BANK.sheet_factor / INTERVAL.band * max(force.delay or 0.0, turn.delay or 0.0)
@@ -104,22 +105,21 @@ class Auto(WrappedController):
         unsaid = turn.delay is None and bool(attitude.delay)
         lately = commands.values[-max(2, round(DECISION.saturation_memory / period)) :].reshape(-1)
         form = vehicle, period, self._bank.period, lately.size, apart
-        function = cached_function(wrapped.backend, decision_function, *form, unsaid=unsaid)
+        function = cached_function(backend, decision_function, *form, unsaid=unsaid)
         places = {name: self._bank.memory.of_next[name] for name in ("count", "weights", "noise")}
-        places |= {"commands": lately, "acts": self._filter.acts, "centre": self._search.left["mode"]}
-        places |= self._search.found | {name: self._search.left[name] for name in ("rates", "odds", "at_end")}
+        places |= {"commands": lately, "acts": self._filter.acts} | self._search.left | self._search.found
         self._decide = connected(function, places, {}, self._memory)
         self._newer, self._judged, self._begin = np.zeros(1), False, NOTHING
         self._rows = np.zeros(len(core.node_times))
-        self._delivered = Delivered(commands, wrapped.backend, 2)  # now, and over the last period
+        self._delivered = Delivered(commands, backend, 2)  # now, and over the last period
         self._tune: BufferedFunction
         self._plan: Memory
 
     def _plans(self, places: dict[str, np.ndarray], tuned: dict[str, np.ndarray], form: Any, *about: Any) -> None:
         """How it plans with a decision, see plan_function: what that reads beside the decision, and the arrays that it
         writes."""
-        common = [*self._to_now.tuned, self._late, self._newer, self._delivered.tuned, self._rows]
-        tuned = dict(zip(COMMON, common, strict=True)) | tuned
+        common = {"late": self._late, "newer": self._newer, "delivered": self._delivered.tuned, "rows": self._rows}
+        tuned = self._to_now.tuned("late") | common | tuned
         period, count, parts = self.control_period, len(self._commands.values), self._to_now.parts
         function = cached_function(self.backend, plan_function, form, period, count, parts, *about)
         self._tune = BufferedFunction(function, places | {"decision": self._memory.of_next["decision"]}, tuned)
@@ -131,7 +131,13 @@ class Auto(WrappedController):
 
     def _compared(self, inputs: InputArrays, now: np.ndarray) -> tuple[list[Call], dict[str, np.ndarray], np.ndarray]:
         """What leaves state, reading, thrust and mean of one time, see DisturbanceFilter, and whether it was read."""
-        raise NotImplementedError
+        thrust, mean = self._delivered.thrusts
+        known = {"x": now, "reading": inputs.specific_force, "thrust": thrust, "mean": mean}
+        return self._delivered.before(), known, inputs.accelerometer_valid
+
+    def _planned(self, inputs: InputArrays, now: np.ndarray) -> ControlStep:
+        """What the controller inside does in the state of now, which is found there, (13,)."""
+        return control_step_of(self.wrapped, inputs, now)
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset: nothing is known."""
@@ -139,11 +145,10 @@ class Auto(WrappedController):
         rows = self._rows.astype(int)
         inside = window._replace(state=window.state[rows], input=window.input[rows[:-1]])
         super().reset(x, inside)
-        thrust = thrust_at_start(inside, self.vehicle)
-        self._strapdown.reset(x, inside)
-        self._commands.reset(thrust)
-        self._bank.reset(x, thrust)
-        self._filter.reset(x)
+        for memory, values in self.starts(x, thrust_at_start(inside, self.vehicle)):
+            memory.begin(values)
+        self._bank.sums.begin({})
+        self._filter.assume_nothing()
 
     @contextmanager
     def settled(self, age: float, dead_time: float, lag: float) -> Iterator[None]:
@@ -170,10 +175,13 @@ class Auto(WrappedController):
         self._anew()
         plan = {name: values.copy() for name, values in self._plan.of_now.items()}
         return [
-            (self._strapdown.memory, strapdown), (self._filter.memory, self._filter.start(x)),
-            (self._commands.memory, {"commands": sent}), (self._bank.memory, self._bank.start(x, thrust)),
-            (self._memory, start_of(NOTHING)), (self._plan, plan),
-        ]  # fmt: skip
+            (self._strapdown.memory, strapdown),
+            (self._filter.memory, self._filter.start(x)),
+            (self._commands.memory, {"commands": sent}),
+            (self._bank.memory, self._bank.start(x, thrust)),
+            (self._memory, start_of(self._begin)),
+            (self._plan, plan),
+        ]
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step."""
@@ -186,8 +194,8 @@ class Auto(WrappedController):
         if self.believes and (self._by_speeds or not self._judged):  # a push alone is evidence of a push
             compared, of_one_time, read = self._compared(inputs, now)
             calls += [*compared, *self._filter.before(of_one_time, read)]
-            calls.append(copy(self._told_belief, belief))
-        step = control_step_of(self.wrapped, inputs, now)
+            calls.append(copy(self._core.believed_numbers, belief))
+        step = self._planned(inputs, now)
         after = [*self._bank.after(inputs, state, step.command), *self._commands.after(step.command)]
         beliefs = self._memory.of_now["beliefs"]
         logged = (*step.logged, belief, beliefs, self._filter.acts, self._filter.deviations)
@@ -201,23 +209,18 @@ class Auto(WrappedController):
         return step._replace(calls=[*calls, *step.calls, *after], logged=logged, memory=memory)
 
     @property
-    def _told_belief(self) -> np.ndarray:
-        """Where the wrapped controller is given a belief, (11,)."""
-        inner: Any = self.wrapped
-        numbers: np.ndarray = inner.believed_numbers
-        return numbers
-
-    @property
     def missing_inputs(self) -> list[str]:
         """What it lacks here, and what that leaves undone; a line each."""
-        missing = {
-            "no accelerometer: delays, wind and force are not found": not self._sheet.accelerometer,
-            "no speeds of rotors that tell thrusts: these follow from the commands": not self._by_speeds,
-            "a law that cannot be given a force or wind: only a late state is corrected": not self.believes,
-            "no drag in the model that shows a wind: it is a force": self.believes
-            and not (self._has_drag or self._by_speeds),
-        }
-        return [line for line, holds in missing.items() if holds]
+        missing = []
+        if not self._sheet.accelerometer:
+            missing.append("no accelerometer: delays, wind and force are not found")
+        if not self._by_speeds:
+            missing.append("no speeds of rotors that tell thrusts: these follow from the commands")
+        if not self.believes:
+            missing.append("a law that cannot be given a force or wind: only a late state is corrected")
+        elif not (self._has_drag or self._by_speeds):
+            missing.append("no drag in the model that shows a wind: it is a force")
+        return missing
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""
@@ -226,17 +229,14 @@ class Auto(WrappedController):
         return {**self.wrapped.log(), **believed, **dict(zip(COLUMNS, map(float, own), strict=True))}
 
 
-COMMON = "late_dt", "late_weights", "late_moves", "late", "newer", "delivered", "rows"  # of what any of them tunes
-
-
 def plan_function(form: Any, period: float, count: int, parts: int, *about: Any) -> ca.Function:
-    """What is tuned by a decision, (6,): COMMON, and what `form` makes of it and of `about`: further symbols, dead time
-    and lag of the thrusts (s), rows of the reference, and the rest by name."""
+    """What is tuned by a decision, (6,), see Auto._plans, and what `form` makes of it and of `about`: further symbols,
+    dead time and lag of the thrusts (s), rows of the reference, and the rest by name."""
     decision, weights = ca.MX.sym("decision", 6), span_weights(count, period)
     acts = Decision(*ca.vertsplit(decision))
     symbols, (dead_time, lag), rows, rest = form(acts, period, *about)
-    late = prediction_numbers(weights, parts, acts.newer - acts.age, 0, acts.dead_time, acts.lag)
+    late = prediction_numbers("late", weights, parts, (acts.newer - acts.age, 0), acts.dead_time, acts.lag)
     now = [weights(ca.vertcat(begin, 0, dead_time, lag)) for begin in (0, -period)]
-    common = [*late, acts.newer, acts.newer > 0, ca.horzcat(*now), rows]
-    results = dict(zip(COMMON, common, strict=True)) | rest
+    common = {"late": acts.newer, "newer": acts.newer > 0, "delivered": ca.horzcat(*now), "rows": rows}
+    results = late | common | rest
     return named_function("plan", {"decision": decision} | symbols, {k: ca.densify(v) for k, v in results.items()})

@@ -53,15 +53,27 @@ class Layout:
         self.columns, channels = 1 + self.readings + AXES, 2 * GYROS + 1
         velocity = len(BANK.velocity_models) * self.columns
         self.sizes = {
-            "count": 1, "weights": 3, "x": N_STATE, "missed": 1, "forces": AXES * self.readings,
-            "rates": AXES * self.readings, "filters": 4 * channels, "regressors": channels * (self.commands + 3),
-            "velocity": AXES * velocity, "velocity_before": 2 * velocity, "attitude_before": AXES * self.columns,
-            "lateral": 1, "reading": 2, "change": 2, "drift": 6, "noise": 3,
-        }  # fmt: skip
+            "count": 1,
+            "weights": 3,
+            "x": N_STATE,
+            "missed": 1,
+            "forces": AXES * self.readings,
+            "rates": AXES * self.readings,
+            "filters": 4 * channels,
+            "regressors": channels * (self.commands + 3),
+            "velocity": AXES * velocity,
+            "velocity_before": 2 * velocity,
+            "attitude_before": AXES * self.columns,
+            "lateral": 1,
+            "reading": 2,
+            "change": 2,
+            "drift": 6,
+            "noise": 3,
+        }
 
 
 class Bank:
-    """The sums of a flight; `reset` begins one, and its calls stand `after` the controller's.
+    """The sums of a flight; `start` begins one, and its calls stand `after` the controller's.
 
     theta: parameters of the residual, shared. noise: stated, of a reading of accelerometer (m/s^2), gyroscope (rad/s)
     and attitude (rad). spans: over which readings of accelerometer and gyroscope are means (s).
@@ -70,9 +82,15 @@ class Bank:
     """
 
     def __init__(
-        self, vehicle: Vehicle, residual: Residual, theta: np.ndarray, control_period: float, backend: str,
-        noise: tuple[float, float, float] = (0.0, 0.0, 0.0), spans: tuple[float, float] = (0.0, 0.0),
-    ) -> None:  # fmt: skip
+        self,
+        vehicle: Vehicle,
+        residual: Residual,
+        theta: np.ndarray,
+        control_period: float,
+        backend: str,
+        noise: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        spans: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
         self.vehicle, self.spans, self.every = vehicle, spans, max(1, round(BANK.period / control_period))
         self.period = self.every * control_period
         self.layout = layout = Layout(self.period)
@@ -94,16 +112,6 @@ class Bank:
         """What the memory has under a name."""
         return self.memory.of_now[name]
 
-    @property
-    def elapsed(self) -> float:
-        """Time with evidence (s)."""
-        return max(float(self.part("count")[0]) * self.period - BANK.settling, 0.0)
-
-    @property
-    def lateral_noise(self) -> float:
-        """Standard deviation of a reading across the thrust (m/s^2), within what a data sheet may be wrong by."""
-        return math.sqrt(self.part("lateral")[0])
-
     def start(self, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
         """What is remembered in the state x, (13,), where this command, (n,) (N), has been sent for a long time."""
         specific, layout, kind = thrust.sum() / self.vehicle.mass, self.layout, x.dtype
@@ -115,11 +123,6 @@ class Bank:
         start = {"x": x, "lateral": np.full(1, self.stated**2), "filters": filters, "velocity": velocity}
         start |= {"forces": np.tile([0.0, 0.0, specific], layout.readings), "rates": np.tile(x[RATE], layout.readings)}
         return start | {"sent": self.every * thrust}
-
-    def reset(self, x: np.ndarray, thrust: np.ndarray) -> None:
-        """Begin a flight, see `start`."""
-        self.memory.begin(self.start(x, thrust))
-        self.sums.begin({})
 
     def after(self, inputs: InputArrays, state: np.ndarray, command: np.ndarray) -> list[Call]:
         """Takes in what is given, the state that is found there, (13,), and then the command, (n,) (N)."""
@@ -241,18 +244,27 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     lateral = ca.fmin(ca.fmax(noise[0], within[0]), within[1])
 
     now = {
-        "count": count, "x": x, "missed": (1 - read) * (kept["missed"] + 1), "forces": ca.vec(forces),
+        "count": count,
+        "x": x,
+        "missed": (1 - read) * (kept["missed"] + 1),
+        "forces": ca.vec(forces),
         "rates": ca.vec(rates),
         "weights": math.exp(-period / BANK.forgetting) * kept["weights"] + ca.vertcat(counts, counts * read, flown),
-        "filters": ca.vertcat(*filters_next), "regressors": ca.vec(z), "velocity": ca.vec(ca.horzcat(*velocity_next)),
-        "velocity_before": ca.vec(ca.horzcat(*across)), "attitude_before": ca.vec(attitude),
+        "filters": ca.vertcat(*filters_next),
+        "regressors": ca.vec(z),
+        "velocity": ca.vec(ca.horzcat(*velocity_next)),
+        "velocity_before": ca.vec(ca.horzcat(*across)),
+        "attitude_before": ca.vec(attitude),
         "lateral": ca.if_else(time > BANK.measured_after, lateral, a["stated"] ** 2),
-        "reading": kept["reading"] + read * change, "change": ca.if_else(read, change, kept["change"]),
-        "drift": drift, "noise": noise,
-    }  # fmt: skip
+        "reading": kept["reading"] + read * change,
+        "change": ca.if_else(read, change, kept["change"]),
+        "drift": drift,
+        "noise": noise,
+    }
     results = {
-        "gyro_z": counts * ca.vec(z[:, :-1]), "thrust_z": counts * z[:, -1],
+        "gyro_z": counts * ca.vec(z[:, :-1]),
+        "thrust_z": counts * z[:, -1],
         "velocity_z": counts * read * ca.vertcat(*velocity_z),
         "attitude_z": flown * ca.vec(ca.vertcat(attitude, before)),
-    } | {NEXT + name: value for name, value in now.items()}  # fmt: skip
+    } | {NEXT + name: value for name, value in now.items()}
     return named_function("bank", a, {name: ca.densify(value) for name, value in results.items()})

@@ -15,18 +15,11 @@ from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.physics.state import ATTITUDE, VELOCITY
+from quadexp.plugins.auto.settings import INTERVAL, LIMITS, REPORT
 from quadexp.report.style import HUES, Figure, styled
 from quadexp.report.table import Table
 
-BAND = 1.96  # deviations
 MS = 1e3  # of a second
-# Half of a band from which on a quantity was not identifiable; of a force in weights of the vehicle
-LIMITS = {"ms": 5.0, "m/s": 2.0, "N": 0.25, "1": 0.05}
-FINE = 20  # steps of a period, in which the lag of the thrusts is followed
-ROUNDED = 1e-3  # of half a band, below which a value is none
-RECENT = 4.0  # time constants
-TINY = 1e-9  # so that an axis has a height
-LAST = 2.0  # s, over which the scale of the thrust is taken
 QUANTITIES = {  # column: name, unit, factor, column of the deviation; "": there are those of both ends of an interval
     "auto_age": ("age of the state", "ms", MS, ""),
     "auto_delay": ("dead time and lag of commands", "ms", MS, ""),
@@ -79,7 +72,7 @@ def beliefs(flight: Flight) -> list[Belief]:
                 if "thinned" in flight.metadata:  # what moves between samples is not known
                     continue
                 spread = np.sqrt(spread**2 + force_variance(flight, column))
-            low, high = value - BAND * spread, value + BAND * spread
+            low, high = value - INTERVAL.band * spread, value + INTERVAL.band * spread
         else:
             low, high = columns[f"{column}_low"], columns[f"{column}_high"]
         known = np.isfinite(low)
@@ -101,7 +94,7 @@ def force_variance(flight: Flight, column: str) -> np.ndarray:
         return variance
     acts = columns["auto_acts_dead_time"] + columns["auto_acts_lag"]
     half = (columns["auto_delay_high"] - columns["auto_delay_low"]) / 2  # NaN: nothing is known yet
-    timing = np.hypot(half / BAND, columns["auto_delay"] - acts)
+    timing = np.hypot(half / INTERVAL.band, columns["auto_delay"] - acts)
     thrust = flight.input.sum(axis=1) * _up(flight)[:, axis]
     late = timing / lag * behind(flight.t, thrust, lag)
     return variance + late**2
@@ -109,11 +102,11 @@ def force_variance(flight: Flight, column: str) -> np.ndarray:
 
 def behind(t: np.ndarray, value: np.ndarray, lag: np.ndarray) -> np.ndarray:
     """How far a low pass is behind what moves, (k,): by what it moved itself in its time constant, lag (s), (k,). Half
-    of the square is that of now, half its mean over RECENT time constants: where what moves turns round, the low pass
-    stands still for an instant, and is off all the same."""
+    of the square is that of now, half its mean over some time constants: where what moves turns round, the low
+    pass stands still for an instant, and is off all the same."""
     moved = np.nan_to_num(value - np.interp(t - lag, t, value)) ** 2
     total = np.concatenate([[0.0], np.cumsum(moved[1:] * np.diff(t))])
-    recent = (total - np.interp(t - RECENT * lag, t, total)) / (RECENT * lag)
+    recent = (total - np.interp(t - REPORT.recent * lag, t, total)) / (REPORT.recent * lag)
     return np.sqrt((moved + np.maximum(recent, 0.0)) / 2)
 
 
@@ -136,9 +129,8 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
 
 
 def _thrust_scale(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
-    """What rotors gave in the last LAST of what was commanded, after dead time and lag (s), over the mass in that which
-    is assumed, (k,). NaN where no column shows what the world has: a factor that is drawn, a payload, a rotor that
-    fails."""
+    """What rotors gave lately of what was commanded, after dead time and lag (s), over the mass in that which is
+    assumed, (k,). NaN where no column shows what the world has: a drawn factor, a payload, a rotor that fails."""
     columns, config, n = flight.columns, flight.metadata["config"], flight.input.shape[1]
     actuator, truth, speeds = config.get("actuator", {}), config.get("truth", {}), "rotor_speed_0" in columns
     drawn = any(actuator.get(f"{of}_scale_std") for of in ("rotor", "flight"))
@@ -150,7 +142,7 @@ def _thrust_scale(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
         given = config["vehicle"]["thrust_coefficient"] * sum(columns[f"rotor_speed_{i}"] ** 2 for i in range(n))
     elif "delivered_0" in columns:
         given = flight.stack([f"delivered_{i}" for i in range(n)]).sum(axis=1)
-    window = np.ones(min(max(round(LAST / float(flight.t[1] - flight.t[0])), 1), len(flight)))
+    window = np.ones(min(max(round(REPORT.last / float(flight.t[1] - flight.t[0])), 1), len(flight)))
     means = [np.convolve(sums, window)[: len(flight)] for sums in (given, commanded)]
     return means[0] / means[1] * truth.get("thrust_coefficient", 1.0) / truth.get("mass", 1.0)
 
@@ -191,15 +183,15 @@ def true_force(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
 
 
 def commanded_thrust(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
-    """Thrust of all rotors by the commands after dead time and lag (s), in FINE steps of the period that ends at each
-    sample, (k, FINE) (N)."""
+    """Thrust of all rotors by the commands after dead time and lag (s), in fine steps of the period that ends at each
+    sample, (k, fine) (N)."""
     from scipy.signal import lfilter
 
     t, period, sent = flight.t, float(flight.t[1] - flight.t[0]), flight.input.sum(axis=1)
-    ages = (np.arange(FINE) + 0.5) / FINE * period  # within the period, from its end back
+    ages = (np.arange(REPORT.fine) + 0.5) / REPORT.fine * period  # within the period, from its end back
     late = np.clip(np.floor((t[:, None] - t[0] - ages - dead_time) / period + 1e-9).astype(int), 0, None)
-    thrust, share = sent[late][:, ::-1].ravel(), -math.expm1(-period / FINE / lag) if lag else 1.0
-    return lfilter([share], [1, share - 1], thrust, zi=[(1 - share) * thrust[0]])[0].reshape(-1, FINE)
+    thrust, share = sent[late][:, ::-1].ravel(), -math.expm1(-period / REPORT.fine / lag) if lag else 1.0
+    return lfilter([share], [1, share - 1], thrust, zi=[(1 - share) * thrust[0]])[0].reshape(-1, REPORT.fine)
 
 
 def _up(flight: Flight) -> np.ndarray:
@@ -229,7 +221,7 @@ def beliefs_table(flight: Flight) -> Table:
         said = "" if np.isnan(true) else "in the band" if belief.covers[-1] else "outside"
         verdict = said if belief.identifiable else "not identifiable on this path"
         band = "" if np.isnan(low) else f"at least {low:.3g}" if np.isinf(high) else f"{low:.3g} .. {high:.3g}"
-        value = 0.0 if abs(value) < ROUNDED * (high - low) else value
+        value = 0.0 if abs(value) < REPORT.rounded * (high - low) else value
         rows.append((belief.name, belief.unit, _text(value), band, _text(true), verdict))
     return Table(("assumed at the end", "unit", "value", "95 % band", "true", ""), rows, left=frozenset({0, 1, 5}))
 
@@ -252,7 +244,7 @@ def beliefs_figure(flight: Flight) -> Figure:
         late = np.isfinite(high) & (t > t[-1] / 10)
         if late.any():
             ends = np.concatenate([low[late], high[late], belief.true[late]])
-            panel.set_ylim(np.nanmin(ends), np.nanmax(ends) + TINY)
+            panel.set_ylim(np.nanmin(ends), np.nanmax(ends) + REPORT.height)
         unit = "" if belief.unit == "1" else f", {belief.unit}"
         panel.set_title(f"{belief.name}{unit}" + ("" if belief.identifiable else ": not identifiable on this path"))
     panels[0].legend(loc="best", ncols=2)

@@ -7,9 +7,10 @@ stiffness         by the timing uncertainty  sigma = sd(D) + |D - what is acted 
                   the stiffer. Where age or total may be any larger one than those of the grid it is the softest.
 
 A look at the evidence begins a search for the posterior where one is due: the coarse grid in the next instant, finer
-ones in those after it (the first one with it, as a flight begins), each where the last one ended, until one's mode is
-not on its edge. Where rates turn out to lie between the pose and now, one more number fits what lies between the points
-of a coarse grid: there is a second search without them, and the likelier of both counts.
+ones in those after it, each where the last one ended, until one's mode is not on its edge. As a flight begins, all are
+in one instant: each further one that passes until an age of 50 ms acts costs 10 to 30 mm at 10 m/s. Where rates turn
+out to lie between the pose and now, one more number fits what lies between the points of a coarse grid: there is a
+second search without them, and the likelier of both counts.
 """
 
 from __future__ import annotations
@@ -23,22 +24,36 @@ import numpy as np
 
 from quadexp.compile.memory import NEXT, NOW
 from quadexp.compile.symbolic import ca
-from quadexp.control.delivered import INSTANT
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.physics.expression import Expression, dense_function, limited, named_symbols, split
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.auto.posterior import BETWEEN, FOUND, NEVER, STEPS
-from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL
+from quadexp.plugins.auto.posterior import BETWEEN, FOUND
+from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL, NEVER
 
 UNKNOWN = -1.0  # of what a decision has crossed: neither
 IDLE, FIRST, SECOND = range(3)  # searches for a posterior, the second without rates between pose and now
 BELIEFS = 10  # age, delay, lag, their lower and their upper ends; by how much rates are newer; behind them what acts
 OF_SEARCH = sum(FOUND.values())
 KEPT = {
-    "phase": 1, "passes": 1, "wait": 1, "saturates": 1, "next": 1, "crossed": 4, "known": 1, "searches": 1,
-    "refines": 1, "against": 3, "candidate": OF_SEARCH, "found": OF_SEARCH, "odds": 2, "at_end": 3, "decision": 6,
-    "unsure": 1, "apart": 1, "beliefs": BELIEFS + 4,
-}  # fmt: skip
+    "phase": 1,
+    "passes": 1,
+    "wait": 1,
+    "saturates": 1,
+    "next": 1,
+    "crossed": 4,
+    "known": 1,
+    "searches": 1,
+    "rounds": 1,
+    "against": 3,
+    "candidate": OF_SEARCH,
+    "found": OF_SEARCH,
+    "odds": 2,
+    "at_end": 3,
+    "decision": 6,
+    "unsure": 1,
+    "apart": 1,
+    "beliefs": BELIEFS + 4,
+}
 
 
 class Decision(NamedTuple):
@@ -119,10 +134,10 @@ def decision_function(
     """Memory after an instant, see KEPT, and whether a decision is another one than the last, or its grid is.
 
     count, weights, noise: of the bank. commands: the last ones (N). acts: of the disturbance. rates, odds, at_end: of
-    the coarse grid; centre, mode and FOUND of the finer one. apart: by which age and delays cannot be distinguished
+    the coarse grid; moved and FOUND of the finer one. apart: by which age and delays cannot be distinguished
     (s). unsaid: whether nobody says how old rates are beside the pose.
     """
-    s, searched = DECISION, {"rates": 1, "odds": 2, "at_end": 3, "centre": 4, "mode": 4} | FOUND
+    s, searched = DECISION, {"rates": 1, "odds": 2, "at_end": 3, "moved": 1} | FOUND
     shapes = {"count": 1, "weights": 3, "noise": 3, "commands": commands, "acts": 3, **searched}
     a = named_symbols(ca.SX, shapes | {NOW + name: size for name, size in KEPT.items()})
     kept = {name: a[NOW + name] for name in KEPT}
@@ -142,9 +157,8 @@ def decision_function(
     often, seldom = (max(1, round(each / period)) for each in (s.soonest, s.checks))
 
     # the search goes on, or ends
-    refined, passes = kept["refines"], kept["passes"] + kept["refines"]
-    moved = ca.mmax(ca.fabs(a["mode"] - a["centre"]) >= STEPS - INSTANT)
-    settled = refined * ca.logic_or(ca.logic_not(moved), passes >= BANK.passes)
+    refined, passes = kept["rounds"] > 0, kept["passes"] + kept["rounds"]
+    settled = refined * ca.logic_or(ca.logic_not(a["moved"]), passes >= BANK.passes)
     again = settled * (phase == FIRST) * (a["rates"] == BETWEEN)
     done = settled * ca.logic_not(again)
     due = ca.logic_and(elapsed + period >= kept["next"], a["weights"][1] > 0)  # the search is in the next instant
@@ -167,7 +181,7 @@ def decision_function(
     acts = Decision(*ca.vertsplit(decision))
     crossed = ca.if_else(ca.mmax(differs) > 0, UNKNOWN, crossed)  # the next one goes on from this one
 
-    # what is said of it: beside the posterior's quantiles what the model of all hypotheses leaves out
+    # intervals: the posterior's quantiles, and beside them what the model of all hypotheses leaves out
     age, _, lag = ca.vertsplit(of["mean"])
     untold = ca.hypot(apart, ca.hypot(unsaid * age / INTERVAL.band, INTERVAL.unlike * lag))
     unsure = ca.if_else(done, untold, kept["unsure"])
@@ -178,17 +192,25 @@ def decision_function(
     beliefs = ca.vertcat(of["mean"], lower, ca.if_else(at_end, math.inf, upper), of["newer"])
     beliefs = ca.if_else(done, beliefs, kept["beliefs"][:BELIEFS])
     left = {
-        "phase": now, "passes": ca.if_else(searches, 0, passes),
-        "wait": ca.if_else(looks, ca.if_else(soon, often, seldom), kept["wait"]) - 1, "saturates": saturates,
+        "phase": now,
+        "passes": ca.if_else(searches, 0, passes),
+        "wait": ca.if_else(looks, ca.if_else(soon, often, seldom), kept["wait"]) - 1,
+        "saturates": saturates,
         "next": ca.if_else(due, elapsed + limited(s.pace * elapsed, s.soonest, s.latest), kept["next"]),
-        "crossed": ca.if_else(decides, crossed, kept["crossed"]), "known": is_known,
-        "searches": searches, "refines": (now > IDLE) * ca.logic_or(soon, ca.logic_not(searches)),
+        "crossed": ca.if_else(decides, crossed, kept["crossed"]),
+        "known": is_known,
+        "searches": searches,
+        "rounds": (now > IDLE) * ca.if_else(soon, BANK.passes, ca.logic_not(searches)),
         "against": ca.vertcat(*BANK.rates_odds[:2], ca.if_else(now == SECOND, NEVER, BANK.rates_odds[2])),
-        "candidate": ca.if_else(again, here, kept["candidate"]), "found": found, "odds": odds, "at_end": at_end,
-        "decision": decision, "unsure": unsure,
+        "candidate": ca.if_else(again, here, kept["candidate"]),
+        "found": found,
+        "odds": odds,
+        "at_end": at_end,
+        "decision": decision,
+        "unsure": unsure,
         "apart": ca.hypot(unsure, ca.hypot(late, s.inexact * (acts.age + acts.total))),
         "beliefs": ca.vertcat(beliefs, decision[:3], acts.grid),
-    }  # fmt: skip
+    }
     results = {NEXT + name: left[name] for name in KEPT}
     results |= {"retunes": ca.mmax(differs[:5]) > 0, "regrids": differs[4]}
     return dense_function("decision", a, results)

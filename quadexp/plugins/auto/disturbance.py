@@ -32,18 +32,25 @@ from quadexp.physics.expression import limited, named_function, named_symbols
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.auto.settings import DISTURBANCE, INTERVAL, SPEEDS
+from quadexp.plugins.auto.settings import DISTURBANCE, INTERVAL, SPEEDS, TINY
 from quadexp.plugins.remedies.observers.filters import STATED, inverse
 
 WIND, SCALE, FORCE, AIR, N_ESTIMATE = slice(0, 3), 3, slice(4, 7), 7, 8
 WALKS, TORQUES = len(DISTURBANCE.walk_factors), 1 + len(DISTURBANCE.torque_bandwidths)  # without a torque first
-TINY = 1e-12  # so that nothing is divided by zero
 # m/s, N, s by which the force is behind, 1
 DEVIATIONS = (*(f"{of}_{axis}_sd" for of in ("wind", "force") for axis in "xyz"), "force_lag", "thrust_scale_sd")
 SIZES = {
-    "estimate": N_ESTIMATE * WALKS, "covariance": N_ESTIMATE**2 * WALKS, "rates": 3 * TORQUES, "torque": 3 * TORQUES,
-    "evidence": 2 * WALKS, "squares": 2 * WALKS, "torque_evidence": TORQUES - 1, "acts": 3, "thrust": 1, "slope": 1,
-}  # fmt: skip
+    "estimate": N_ESTIMATE * WALKS,
+    "covariance": N_ESTIMATE**2 * WALKS,
+    "rates": 3 * TORQUES,
+    "torque": 3 * TORQUES,
+    "evidence": 2 * WALKS,
+    "squares": 2 * WALKS,
+    "torque_evidence": TORQUES - 1,
+    "acts": 3,
+    "thrust": 1,
+    "slope": 1,
+}
 
 
 class Sources(NamedTuple):
@@ -81,10 +88,9 @@ def sources(vehicle: Vehicle, sensor_spec: SensorSpec, slope: float, *, by_speed
     elif slope:
         random_walk[WIND], initial[WIND] = s.wind_walk, s.wind_initial
         random_walk[FORCE], initial[FORCE] = s.force_walk_beside_wind, s.force_initial_beside_wind
-    reading, tilted, turned = (
-        Stated() if one is None else one
-        for one in (sensor_spec.accelerometer, sensor_spec.attitude, sensor_spec.rotor_speed)
-    )
+    reading = sensor_spec.accelerometer or Stated()
+    tilted = sensor_spec.attitude or Stated()
+    turned = sensor_spec.rotor_speed or Stated()
     offset = math.hypot(reading.drift, vehicle.gravity * tilted.drift)
     noise = math.hypot(max(reading.noise, s.reading_noise), s.tilt_to_acceleration * tilted.noise)
     thrust = 2 * turned.noise / math.sqrt(vehicle.n_rotors) if by_speeds else s.thrust_noise
@@ -93,7 +99,7 @@ def sources(vehicle: Vehicle, sensor_spec: SensorSpec, slope: float, *, by_speed
 
 
 class DisturbanceFilter:
-    """Its calls stand `before` the controller's; `reset` begins a flight.
+    """Its calls stand `before` the controller's; `start` begins a flight.
 
     belief: (11,), see control.base.Belief. deviations: see DEVIATIONS. acts: (3,), whether a disturbance across the
     thrust, one along it, and a torque are assumed. given: arrays of the uncertainty of the commands' delay, timing, by
@@ -102,9 +108,15 @@ class DisturbanceFilter:
     """
 
     def __init__(
-        self, vehicle: Vehicle, residual: Residual, theta: np.ndarray, period: float, backend: str, known: Sources,
+        self,
+        vehicle: Vehicle,
+        residual: Residual,
+        theta: np.ndarray,
+        period: float,
+        backend: str,
+        known: Sources,
         told: dict[str, np.ndarray],
-    ) -> None:  # fmt: skip
+    ) -> None:
         air = (residual.unscaled or residual).form(backend == "compiled")
         self._function = cached_function(backend, disturbance_function, vehicle, air, period, known)
         self.memory = Memory("Disturbance", sizes_of([self._function]))
@@ -114,10 +126,9 @@ class DisturbanceFilter:
         self.belief, self.deviations = np.zeros(N_BELIEF), np.zeros(len(DEVIATIONS))
         self.acts = self.memory.of_now["acts"]
 
-    def reset(self, x: np.ndarray) -> None:
-        """Begin a flight in the state x, (13,): nothing is assumed."""
+    def assume_nothing(self) -> None:
+        """As a flight begins."""
         self.belief[...], self.deviations[...] = np.hstack([*no_belief()]), np.nan
-        self.memory.begin(self.start(x))
 
     def start(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """What is remembered as a flight begins in the state x, (13,)."""
@@ -266,10 +277,17 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     lag = ca.if_else(shown, lag, np.nan)
     deviations = ca.vertcat(*winds, *forces, lag, ca.if_else(acts[1], scale_doubt, np.nan))
     now = {
-        "estimate": ca.vertcat(*estimates), "covariance": ca.vertcat(*map(ca.vec, covariances)),
-        "rates": ca.vertcat(*rates), "torque": ca.vertcat(*torques), "evidence": evidence, "squares": squares,
-        "torque_evidence": torque_evidence, "acts": acts, "thrust": specific, "slope": slope,
-    }  # fmt: skip
+        "estimate": ca.vertcat(*estimates),
+        "covariance": ca.vertcat(*map(ca.vec, covariances)),
+        "rates": ca.vertcat(*rates),
+        "torque": ca.vertcat(*torques),
+        "evidence": evidence,
+        "squares": squares,
+        "torque_evidence": torque_evidence,
+        "acts": acts,
+        "thrust": specific,
+        "slope": slope,
+    }
     flown = ca.fmax(a[f"{NOW}flown"], read)
     results = {NEXT + name: ca.if_else(flown, now[name], kept[name]) for name in SIZES} | {f"{NEXT}flown": ca.MX(1)}
     results["belief"] = ca.if_else(flown, belief, ca.DM(np.hstack([*no_belief()])))

@@ -19,7 +19,7 @@ from quadexp.plugins.auto.disturbance import speeds_tell
 
 @dataclass(frozen=True, kw_only=True)
 class AutoPart(Compensation):
-    """What is late, off or blown, found in flight; alone around a controller."""
+    """Delays, errors of the model and wind, estimated in flight; alone around a controller."""
 
     prefix = "delay."
     believes = True

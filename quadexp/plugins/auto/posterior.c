@@ -1,5 +1,5 @@
-/* The posterior of posterior.py in C, on the arguments and results of its functions, coarse and fine. Freestanding C11:
-   no allocation, of libraries only math.h. Before it stand the settings, see `kernel` there. */
+/* The posterior of posterior.py in C, on the same arguments and results, coarse and fine. Freestanding C11:
+   no allocation, of libraries only math.h. Before it stand the settings, see `kernel_source` there. */
 #include <math.h>
 
 #ifndef REAL
@@ -12,8 +12,8 @@ typedef REAL real;
 typedef INTEGER integer;
 
 enum { LATE, PROMPT, BETWEEN };
-enum { GYRO, THRUST, VELOCITY, ATTITUDE, AGAINST, CENTRE, MODELS, WEIGHTS, LATERAL };
-enum { MODE, RATES, ALLOWED, CHOSEN, ODDS, AT_END, BEST, MEAN, DEVIATION, LOWER, UPPER, NEWER };
+enum { GYRO, THRUST, VELOCITY, ATTITUDE, AGAINST, CENTRE, MODELS, WEIGHTS, LATERAL, ROUNDS };
+enum { MODE, RATES, ALLOWED, CHOSEN, ODDS, AT_END, MOVED, MEAN, DEVIATION, LOWER, UPPER, NEWER, BEST };
 enum { A, D, L, R, BIAS = 3, COLUMNS = 1 + READINGS + BIAS, BLOCK = COMMANDS + 3, MEANS = 3 };
 
 typedef struct { /* low, high: between them hypotheses count. times: of a - r + D */
@@ -33,7 +33,7 @@ typedef struct { /* where the weights of a hypothesis begin, the first two, and 
 
 static real larger(real a, real b) { return a > b ? a : b; }
 static real smaller(real a, real b) { return a < b ? a : b; }
-static real at(const grid *g, int of, int i) { return g->low[of] + g->step[of] * i; }
+static real at(const grid *g, int of, int i) { return g->low[of] + g->step[of] * (real)i; }
 static int inside(const grid *g, int of, int i) { return at(g, of, i) < g->high[of] + INSTANT; }
 
 static real integral(real x, real lag) { return x > 0 ? x + lag * (exp(-x / lag) - 1) : 0; }
@@ -48,7 +48,7 @@ static void command_weights(real *h, real total, real lag, real span) {
     const real wait = larger(total - lag, 0);
     real before = 0;
     for (int j = 0; j < COMMANDS; j++) {
-        const real now = j < COMMANDS - 1 ? response(PERIOD * (j + 1) - wait, larger(lag, INSTANT), span) : 1;
+        const real now = j < COMMANDS - 1 ? response(PERIOD * (real)(j + 1) - wait, larger(lag, INSTANT), span) : 1;
         h[j] = now - before, before = now;
     }
 }
@@ -59,7 +59,7 @@ static void lead_in(head *to, real total, real lag, real span, real falls) {
     real before = 0, left = exp(-first / larger(lag, INSTANT));
     to->first = (int)whole, lag = larger(lag, INSTANT);
     for (int k = 0; k < 3; k++, left *= falls) {
-        const real x = first + PERIOD * k;
+        const real x = first + PERIOD * (real)k;
         real now = 1 - left;
         if (span > INSTANT) now = (x + lag * (left - 1) - integral(x - span, lag)) / span;
         to->h[k] = now - before, before = now;
@@ -87,7 +87,7 @@ static real information(real product, real square) {
     return smaller(larger((1 - rho) / (1 + rho), LEAST_INFORMATION), MOST_INFORMATION);
 }
 
-/* posterior.py: commands_function. Leaves the mean squared innovation of each hypothesis, and what the logarithm of one is
+/* posterior.py: _by_commands. Leaves the mean squared innovation of each hypothesis, and what the logarithm of one is
    worth; returns the largest log likelihood. */
 static real by_commands(
     real *restrict sse, real *worth, const head *heads, const real *M, const channel *c, const grid *g) {
@@ -115,7 +115,7 @@ static real by_commands(
         if (sse[k] < lowest) lowest = sse[k], best = k, scale = s;
     }
     real h[COMMANDS], now = 0, before = 0, of[BLOCK];
-    command_weights(h, c->low + c->step * (best % count) + c->shift, at(g, L, best / count), c->span);
+    command_weights(h, c->low + c->step * (real)(best % count) + c->shift, at(g, L, best / count), c->span);
     for (int i = 0; i < BLOCK; i++) of[i] = M[i];
     for (int j = 0; j < COMMANDS; j++)
         for (int i = 0; i < BLOCK; i++) of[i] -= scale * h[j] * M[BLOCK * (j + 2) + i];
@@ -136,7 +136,7 @@ static real gain_of(real ratio) {
     return variance / (variance + 1);
 }
 
-/* posterior.py: readings_function */
+/* posterior.py: _by_readings */
 static void by_readings(
     real *log_p, const real *M, const grid *g, int of, real span, real numbers, real prior, real reading, real noise) {
     const real kept = 1 - gain_of(reading / noise), white = reading * reading / (1 - kept * kept);
@@ -222,16 +222,16 @@ static void summary(real **res, int of, const real *share, const grid *g, real b
 }
 
 static const real NOISES[] = VELOCITY_NOISES;
-static const real STEPS[] = {STEP_A, STEP_D, STEP_L, STEP_A}, LARGEST[] = {LARGEST_A, LARGEST_D, LARGEST_L, LARGEST_A};
+static const real STEPS[] = {AGE_STEP, TOTAL_STEP, LAG_STEP, AGE_STEP}, LARGEST[] = {LARGEST_AGE, (LARGEST_DEAD_TIME + LARGEST_LAG), LARGEST_LAG, LARGEST_AGE};
 
-static void posterior(const real **arg, real **res, int fine) {
+static void posterior(const real **arg, const real *centre, real **res, int fine) {
     const real *against = arg[AGAINST];
     const int whole = fine == 1;
     grid g;
     for (int i = 0; i < 4; i++) {
         const real reach = whole ? LARGEST[i] : STEPS[i];
-        g.step[i] = STEPS[i] / fine, g.size[i] = (int)floor((whole ? reach : 2 * reach) / g.step[i] + (real)1.5);
-        g.low[i] = larger(arg[CENTRE][i] - reach, 0), g.high[i] = smaller(arg[CENTRE][i] + reach, LARGEST[i]);
+        g.step[i] = STEPS[i] / (real)fine, g.size[i] = (int)floor((whole ? reach : 2 * reach) / g.step[i] + (real)1.5);
+        g.low[i] = larger(centre[i] - reach, 0), g.high[i] = smaller(centre[i] + reach, LARGEST[i]);
     }
     const int n_a = g.size[A], n_D = g.size[D], n_l = g.size[L], n_r = g.size[R], olds = whole ? n_a : n_a + n_r - 1;
     const int times = olds + n_D - 1;
@@ -256,17 +256,17 @@ static void posterior(const real **arg, real **res, int fine) {
     (void)by_commands(of_total, &worth, heads, arg[THRUST], &thrust, &g);
     logarithms(of_total, heads, worth, n_D * n_l);
     for (int k = 0; k < n_D * n_l; k++) {
-        const real total = at(&g, D, k % n_D), ways = smaller(total, LARGEST_L) - larger(total - LARGEST_DEAD_TIME, 0);
-        if (heads[k].possible) of_total[k] += -total / MEAN_DELAY - log(larger(ways, 0) + STEP_L);
+        const real total = at(&g, D, k % n_D), ways = smaller(total, LARGEST_LAG) - larger(total - LARGEST_DEAD_TIME, 0);
+        if (heads[k].possible) of_total[k] += -total / MEAN_DELAY - log(larger(ways, 0) + LAG_STEP);
     }
     const channel gyro = {first + g.low[D], g.step[A], SPAN_RATE / 2, PERIOD, INERTIA_DEVIATION, 2 * seen, times};
     for (int l = 0; l < n_l; l++)
         for (int k = 0; k < times; k++) {
-            const real time = gyro.low + gyro.step * k;
+            const real time = gyro.low + gyro.step * (real)k;
             head *one = heads + times * l + k;
             const real wait = time - at(&g, L, l);
             one->possible = time < latest + INSTANT && inside(&g, L, l);
-            one->possible &= wait > -INSTANT && wait < LARGEST_DEAD_TIME + LARGEST_A + INSTANT;
+            one->possible &= wait > -INSTANT && wait < LARGEST_DEAD_TIME + LARGEST_AGE + INSTANT;
             if (one->possible) lead_in(one, time + gyro.shift, at(&g, L, l), PERIOD, falls[l]);
         }
     int models[2] = {0, 0};
@@ -311,7 +311,7 @@ static void posterior(const real **arg, real **res, int fine) {
             const real age = at(&g, A, a), by = at(&g, R, r);
             const int rates = rates_of(age, by), old = (int)floor((larger(age - by, 0) - first) / g.step[A] + (real)0.5);
             int counts = inside(&g, A, a) && inside(&g, R, r) && age - by > -INSTANT;
-            counts &= rates != BETWEEN || by > STEP_A - INSTANT; /* less is how rates go between readings */
+            counts &= rates != BETWEEN || by > AGE_STEP - INSTANT; /* less is how rates go between readings */
             p[r][a] = -NEVER, old_of[r][a] = old < 0 ? 0 : old < olds ? old : olds - 1;
             if (counts) {
                 const real alone = of_age[a] - age / MEAN_DELAY + of_newer[r] - against[rates];
@@ -325,10 +325,13 @@ static void posterior(const real **arg, real **res, int fine) {
     for (int i = 0; i < 4; i++) res[MODE][i] = at(&g, i, place[i]);
     for (int i = 0; i < 3; i++) res[AT_END][i] = res[MODE][i] > LARGEST[i] - INSTANT;
     const int rates = rates_of(res[MODE][A], res[MODE][R]);
-    *res[RATES] = rates, res[CHOSEN][0] = models[0], res[CHOSEN][1] = models[1];
+    *res[RATES] = (real)rates, res[CHOSEN][0] = (real)models[0], res[CHOSEN][1] = (real)models[1];
     for (int i = 0; i < 3; i++) res[ALLOWED][i] = i == rates ? against[i] : NEVER;
     res[ODDS][0] = best - ageless, res[ODDS][1] = best - prompt;
+    *res[MOVED] = 0;
     if (whole) return;
+    for (int i = 0; i < 4; i++)
+        if (fabs(res[MODE][i] - centre[i]) >= STEPS[i] - INSTANT) *res[MOVED] = 1;
     *res[BEST] = best;
 
     real of_each[SIDES] = {0}, shares[3][SIDE] = {{0}};
@@ -353,19 +356,25 @@ static void posterior(const real **arg, real **res, int fine) {
         for (int k = 0; k < n_D; k++) shares[D][k] += of_each[i] * by_total[i][k];
         for (int k = 0; k < n_l; k++) shares[L][k] += of_each[i] * by_lag[i][k];
     }
-    const real beside[] = {STEP_A / fine, STEP_L / fine, STEP_L / fine};
+    const real beside[] = {AGE_STEP / (real)fine, LAG_STEP / (real)fine, LAG_STEP / (real)fine};
     for (int i = 0; i < 3; i++) summary(res, i, shares[i], &g, beside[i]);
     *res[NEWER] = rates == PROMPT ? res[MEAN][A] : res[MODE][R];
 }
 
 int coarse(const real **arg, real **res, integer *iw, real *w, int memory) {
     (void)iw, (void)w, (void)memory;
-    posterior(arg, res, 1);
+    posterior(arg, arg[CENTRE], res, 1);
     return 0;
 }
 
 int fine(const real **arg, real **res, integer *iw, real *w, int memory) {
     (void)iw, (void)w, (void)memory;
-    posterior(arg, res, FINE);
+    real centre[4];
+    for (int i = 0; i < 4; i++) centre[i] = arg[CENTRE][i];
+    for (int k = 0; k == 0 || (k < *arg[ROUNDS] && *res[MOVED]); k++) {
+        if (k)
+            for (int i = 0; i < 4; i++) centre[i] = res[MODE][i];
+        posterior(arg, centre, res, FINE);
+    }
     return 0;
 }

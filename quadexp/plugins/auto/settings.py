@@ -181,5 +181,22 @@ class PathSettings:
     ended: float = 1e-6  # s; m, m/s, m/s^2: an offset that has died out
 
 
+@dataclass(frozen=True)
+class ReportSettings:
+    """What `show --beliefs` compares with the truth."""
+
+    fine: int = 20  # steps of a period, in which the lag of the thrusts is followed
+    recent: float = 4.0  # time constants of a low pass, after which 2 % of a step are left
+    last: float = 2.0  # s, over which the scale of the thrust is taken
+    rounded: float = 1e-3  # of half a band, below which a value is none
+    height: float = 1e-9  # of an axis, at least
+
+
+# Half of a band from which on a quantity was not identifiable; of a force in weights of the vehicle
+LIMITS = {"ms": 5.0, "m/s": 2.0, "N": 0.25, "1": 0.05}
+NEVER = 1e30  # a log odds, or a sum of squares, beyond all others, also in single precision
+TINY = 1e-12  # so that nothing is divided by zero
+QUANTILES = 0.025, 0.975  # ends of a 95 % interval
+REPORT = ReportSettings()
 BANK, INTERVAL, DISTURBANCE, SPEEDS = BankSettings(), IntervalSettings(), DisturbanceSettings(), SpeedSettings()
 DECISION, PATH = DecisionSettings(), PathSettings()

@@ -28,17 +28,15 @@ NUMBERS = ("protocol", "bound")
 BEGIN = "<!-- bench: begin (written by the command; edit nothing up to the end) -->"
 END = "<!-- bench: end -->"
 RULE = (
-    "Place: who is not significantly different by the flights lost from the entry that lost the fewest, by mean rank"
-    " over all"
-    " cells (task, world, seed), where lost flights share the last ranks; then the others in the same way. In"
-    " brackets the 95 % interval over the seeds. =: not significantly different from the one above (paired permutation"
-    " test of"
-    " the seeds, p < 0.05 each). x least: geometric mean of the error over the least of each cell. It and the"
-    " error over the baseline's are of completed flights, (n): of n only, and who loses the hard ones has"
-    " less. Bounds are given the plant's equations and take no rank. settings: as shipped are those of a"
-    " publication or, where there is none, of this program; set by hand on seeds that are flown here, they are"
-    " flattered. step: median over the instants of the fastest loop, on"
-    " the machine that flew: no part of the rank."
+    "Place: entries whose number of lost flights is not significantly different from the fewest come first, by mean"
+    " rank over all cells (task, world, seed), in which lost flights share the last ranks; the others follow in the"
+    " same way. In brackets the 95 % interval over the seeds. =: not significantly different from the entry above"
+    " (paired permutation test of the seeds, p < 0.05 each). x least: geometric mean of the error over the least of"
+    " each cell. This and the error over the baseline's use completed flights, (n): only n of them; an entry that"
+    " loses the hard flights has less. Oracles are given the plant's equations and take no rank. settings: as"
+    " shipped are those of a publication or, if there is none, of this program; those set by hand on seeds that are"
+    " flown here have an advantage. step: median over the instants of the fastest loop, on the machine that flew; no"
+    " part of the rank."
 )
 
 
@@ -98,10 +96,10 @@ def board_table(rows: Rows, *, metric: str, baseline: str, title: str = "") -> T
     """The standings of one family."""
     ranked = standings(rows, metric=metric, baseline=baseline)
     heads = ["place", "entry", "settings", "completed", "mean rank", "x least", f"error / {baseline}", "step"]
-    notes = [f"{listed([s.entry for s in ranked if s.bound])}: bound, not ranked"] if ranked[-1].bound else []
+    notes = [f"{listed([s.entry for s in ranked if s.bound])}: oracle, not ranked"] if ranked[-1].bound else []
     seeds = len({row["seed"] for row in rows})
     if seeds < least_seeds(1):
-        notes.append(f"{too_few(seeds, least_seeds(1), 0.95)}; nobody is significantly different")
+        notes.append(f"{too_few(seeds, least_seeds(1), 0.95)}; no two are significantly different")
     return Table(heads, [*map(_line, ranked)], title, left=frozenset({1, 2}), notes=notes)
 
 
@@ -114,7 +112,7 @@ def _line(s: Standing) -> list[str]:
             return f"{text} ({cells})"
         return text
 
-    place = "bound" if s.bound else f"{'= ' if s.level else ''}{s.place}"
+    place = "oracle" if s.bound else f"{'= ' if s.level else ''}{s.place}"
     rank = "-" if s.bound else value(f"{s.rank:.2f}", s.rank_low, s.rank_high)
     ratio = "-" if math.isnan(s.ratio.value) else value(f"{s.ratio.value:.3g}", s.ratio.low, s.ratio.high, ".3g")
     least = of_cells(number(s.least), s.least_cells)

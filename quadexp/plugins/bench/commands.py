@@ -21,7 +21,7 @@ def _controllers(context: typer.Context, incomplete: str) -> list[str]:
     return [name for name in groups(context.params.get("conf"))["controller"] if name.startswith(incomplete)]
 
 
-CONTROLLER = Ask("Takes part too, as 'NAME observer=...'; repeatable.", "NAME", "--controller", _controllers)
+CONTROLLER = Ask("Add this controller, such as 'NAME observer=...'; repeatable.", "NAME", "--controller", _controllers)
 
 
 @partial(command, controllers=CONTROLLER)

@@ -14,7 +14,7 @@ HEADING = "Learn"
 @command
 def check(
     flights: Annotated[tuple[Path, ...], Ask("Flights of `quadexp import`.", "FLIGHT")],
-    vehicle: Annotated[str | None, Ask("Of the configuration, not the flight's own.", "NAME")] = None,
+    vehicle: Annotated[str | None, Ask("Vehicle of the configuration, instead of the flight's.", "NAME")] = None,
     figures: Annotated[Path | None, Ask("Draw every flight's streams against each other.", "DIR")] = None,
     strict: Annotated[bool, Ask("Warnings block as well.")] = False,
     conf: Conf = (),

@@ -138,7 +138,7 @@ def describe_log(path: Path) -> Description:
             look()
     fields = proposals.fields
     fields = {"time": time} | {key: fields[key] for key in ("world", "body") if key in fields} | fields
-    fields["crop"] = Proposal("auto", 0.9, "ground phases at the ends are cut off where there are any")
+    fields["crop"] = Proposal("auto", 0.9, "ground phases at the ends are cut off if there are any")
     return Description(path, opened.format, fields)
 
 

@@ -74,7 +74,7 @@ def identify_delays(
         split = ""
         if late is not None and not delays.commands_known and sum_known(late):
             settings = [*_of_commands(late.dead_time, late.lag), *settings]
-            split = " (the sum of dead time and lag is known, its parts are the likeliest)"
+            split = " (only the sum of dead time and lag is well known)"
         records.append({"path": str(path), **asdict(delays), "overrides": settings})
         lines += [f"{path}", *(f"  {line}" for line in said), f"  set: {' '.join(settings) or 'nothing'}{split}"]
     return {"flights": records, "lines": lines}
@@ -130,7 +130,7 @@ def _of_log(flight: Flight, name: str, vehicle: Vehicle) -> tuple[Delays, list[s
     still = replace(flight, columns={**flight.columns, **_no_commands(len(flight), vehicle)})
     ages = Search(Moments(_evenly(still, name), vehicle)).ages()
     if late is None:
-        why = "too short or too slow to tell" if kind else f"none of {', '.join(COMMANDS)} is in the log"
+        why = "too short or too slow" if kind else f"none of {', '.join(COMMANDS)} is in the log"
         delays = Delays(*ages, 0.0, np.inf, 0.0, np.inf)
         return delays, [*report(delays)[:-2], f"dead time and lag of the commands: {why}"], None
     error = (late.intervals[:, 1] - late.intervals[:, 0]) / (2 * 1.96)
@@ -220,7 +220,7 @@ def report(delays: Delays) -> list[str]:
 
     def line(name: str, value: float, error: float, known: bool) -> str:
         if not known:
-            return f"{name}: this flight does not tell (standard error {1e3 * error:.1f} ms); faster turns would"
+            return f"{name}: not found in this flight (standard error {1e3 * error:.1f} ms); fly faster turns"
         return f"{name}: {1e3 * value:.1f} ms, standard error {1e3 * error:.1f} ms"
 
     lines = [line("age of position, velocity and attitude", delays.age, delays.age_error, delays.age_known)]

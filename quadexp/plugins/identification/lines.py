@@ -94,8 +94,8 @@ def _scope(flights: int, least: int) -> str:
     """What an interval is of."""
     if flights >= least:
         return f"over {flights} flights"
-    only = "of these flights only, from blocks of time: what differs from flight to flight is not in it"
-    return f"{only} ({least} flights or more show that)"
+    only = "of these flights only, from blocks of time: differences between flights are not in it"
+    return f"{only} ({least} flights or more show them)"
 
 
 def _curve_lines(curves: Sequence[Row], model: Any) -> list[str]:

@@ -17,7 +17,7 @@ def replay_test(
     log: Annotated[Path, Ask("Of `quadexp import` or `simulate`.", "LOG")],
     model: Annotated[Path, Ask("Folder of `quadexp identify`: the plant.", "MODEL")],
     overrides: Overrides = (),
-    members: Annotated[int, Ask("Flights of the ensemble.", "N", least=1)] = 8,
+    members: Annotated[int, Ask("Number of flights in the ensemble.", "N", least=1)] = 8,
     out: OptionalOut = None,
     conf: Conf = (),
     force: Force = False,

@@ -203,16 +203,16 @@ class TimingFit:
         """For the report of a data set."""
         timing = self.timing
         if timing.is_ideal:
-            return "commands act at once, as far as these flights tell: no motor lag, no delay"
+            return "no motor lag and no delay of the commands found in these flights"
         down = f" up and {1e3 * timing.lag_down:.1f} ms down" if timing.lag_up != timing.lag_down else ""
         lags = f"{1e3 * timing.lag_up:.1f} ms{down}"
         known = f"motor lag {lags} of the {timing.lag_of.replace('_', ' ')}, commands {1e3 * timing.delay:.1f} ms late"
-        source = "by the rotor speeds" if timing.measured else "by the residual that remains"
+        source = "by the rotor speeds" if timing.measured else "by the least residual"
         behind = f", state {1e3 * timing.state_delay:.1f} ms behind the rotors" if timing.measured else ""
         dead = timing.delay + timing.state_delay
         return (
             f"{known} ({source}){behind}: a_z {self.before[0]:.3g} -> {self.after[0]:.3g} m/s^2 rms;"
-            f" a controller is given by timing.motor_lag={timing.lag:.3g} timing.dead_time={dead:.3g}"
+            f" give a controller timing.motor_lag={timing.lag:.3g} timing.dead_time={dead:.3g}"
         )
 
 
@@ -258,7 +258,7 @@ class _Score:
             if (settled := _settled(flight)[k]).any():
                 rows.append((flight, table, k, settled))
         if not rows:
-            said = f"no flight is longer than {SETTLING:g} s, so none tells how late the thrusts are"
+            said = f"no flight is longer than {SETTLING:g} s, too short to find how late the thrusts are"
             raise DataError(f"{said}: fly longer, or set collect.thrust=commanded")
         rows = rows[:: max(1, round(sum(float(flight.t[-1] - flight.t[0]) for flight, *_ in rows) / LONGEST))]
         self.flights, self._k = [flight for flight, *_ in rows], [k[settled] for _, _, k, settled in rows]

@@ -215,7 +215,7 @@ def number_lines(numbers: Row, drag: Sequence[Mapping[str, Any]]) -> list[str]:
     lines += Table(heads, cells, left=frozenset({0, 2, 3, 4, 5})).lines()
     if numbers["flights"] < LEAST_FLIGHTS:
         count = "one flight does" if numbers["flights"] == 1 else f"{numbers['flights']} flights do"
-        lines.append(f"            {count} not show how flights differ, so no interval of the next; {LEAST_FLIGHTS} do")
+        lines.append(f"            {count} not show how flights differ ({LEAST_FLIGHTS} do): no interval of the next")
     if numbers["battery"]:
         parts = []
         for row in numbers["battery"]:

@@ -106,7 +106,7 @@ def _begins(signal: np.ndarray, period: float, lag: float) -> np.ndarray:
 def find_lag(
     time: np.ndarray, segment: np.ndarray, signal: np.ndarray, force: np.ndarray, velocity: np.ndarray, held: np.ndarray
 ) -> CommandLag | None:
-    """Of flights one after another; None where they are too short or too slow to tell.
+    """Of flights one after another; None where they are too short or too slow.
 
     time: (k,) s. segment: (k,), ascending numbers. signal: (k, n). force: f_z, (k,) m/s^2. velocity: (k, 3) body, m/s.
     held: (k,), whether the signal is that of the interval that ends at the sample.

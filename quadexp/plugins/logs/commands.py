@@ -26,12 +26,12 @@ def import_(
     logs: Annotated[tuple[Path, ...], Ask("Log files (or folders of ROS 2).", "LOG")],
     form: str,
     log_format: Annotated[str, Ask(f"Of the log: {', '.join(LOG_FORMATS)}, or a plug-in's.", "FORMAT")] = "auto",
-    vehicle: Annotated[str | None, Ask("Which vehicle of the configuration flew.", "NAME")] = None,
+    vehicle: Annotated[str | None, Ask("The vehicle that flew, an option of the configuration.", "NAME")] = None,
     out: Annotated[Path, Ask("Where to write.", "DIR", "--out -o")] = Path("flights"),
-    mapping: Annotated[Path | None, Ask("What the columns of a table are (YAML).")] = None,
-    rate: Annotated[float | None, Ask("Of the flight; the log's own unless given.", "HZ")] = None,
+    mapping: Annotated[Path | None, Ask("Meaning of a table's columns (YAML).")] = None,
+    rate: Annotated[float | None, Ask("Rate of the flight; by default the log's.", "HZ")] = None,
     describe: Annotated[bool, Ask("Propose a mapping for a table, and say how sure it is.")] = False,
-    crop: Annotated[bool, Ask("Cut off what is on the ground.", flag="--crop/--no-crop")] = True,
+    crop: Annotated[bool, Ask("Leave out phases on the ground.", flag="--crop/--no-crop")] = True,
     align: Annotated[bool, Ask("Move streams that are late by the offsets found.")] = False,
     mounting: Annotated[str | None, Ask("Roll, pitch, yaw of the accelerometer in the body (deg).", "R,P,Y")] = None,
     gyro_mounting: Annotated[str | None, Ask("The same of the gyro.", "R,P,Y")] = None,
@@ -40,7 +40,7 @@ def import_(
     conf: Conf = (),
     force: Force = False,
 ) -> Answer:
-    """Make flights of logs: one clock, SI units, ENU and FLU, ground phases cut off, quality checked.
+    """Make flights from logs: one clock, SI units, ENU and FLU, ground phases left out, quality checked.
 
     \b
     quadexp import logs/*.ulg --vehicle crazyflie --out flights

@@ -77,7 +77,7 @@ def import_files(
             check_flight = brought("services", "check_flight")
             outcome = Outcome(log, notes=notes)
             if check_flight is None:
-                outcome.notes.append("not checked: no plug-in that is there brings 'check_flight' (quadexp/plugins)")
+                outcome.notes.append("not checked: no installed plug-in has 'check_flight' (quadexp/plugins)")
             else:
                 outcome.findings = check_flight(flight, named)
             yield _finish(outcome, flight, path, seen, keep, force)

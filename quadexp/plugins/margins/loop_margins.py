@@ -52,8 +52,7 @@ def loop_margins(controller: Any, plant: Any) -> dict[str, Any]:
     known = _known.setdefault(controller, WeakKeyDictionary())
     if plant not in known:
         try:
-            with _settled(controller, plant):
-                known[plant] = margins(hover_loop(controller, plant))
+            known[plant] = margins(hover_loop(controller, plant))
         except UnknownLoopError as error:
             known[plant] = {"unknown": str(error)}
     return known[plant]
@@ -70,12 +69,13 @@ def _settled(controller: Any, plant: Any) -> Any:
 
 def hover_loop(controller: Any, plant: Any) -> LinearLoop:
     """The loop at hover. Raises UnknownLoopError."""
-    controller.forget()
     rest = np.eye(N_STATE)[ATTITUDE.start]
     nodes = len(controller.node_times)
     thrusts = np.full((max(nodes - 1, 0), controller.vehicle.n_rotors), controller.vehicle.hover_thrust)
     window = Window(np.tile(rest, (nodes, 1)), thrusts, np.zeros((5, 3)), np.zeros(3))
-    return linear_loop(controller, plant, lambda k: window, lambda k: rest)
+    with _settled(controller, plant):
+        controller.forget()
+        return linear_loop(controller, plant, lambda k: window, lambda k: rest)
 
 
 def path_margins(config: Config, model: ModelFile | None) -> list[dict[str, Any]]:

@@ -120,8 +120,8 @@ def _keys(words: Sequence[str]) -> list[str] | None:
 @command
 def table(
     results: Annotated[Path, Ask("A folder of `quadexp evaluate`.", "DIR")],
-    rows: Annotated[Keys, Ask("Keys down, commas between; repeatable.", "KEYS")] = (),
-    columns: Annotated[Keys, Ask("Keys across, commas between; repeatable.", "KEYS")] = (),
+    rows: Annotated[Keys, Ask("Keys of the rows, with commas between; repeatable.", "KEYS")] = (),
+    columns: Annotated[Keys, Ask("Keys of the columns, with commas between; repeatable.", "KEYS")] = (),
     metric: Annotated[str | None, Ask("A number of the flights, such as rmse; or success.", "NAME")] = None,
     label: Annotated[Keys, Ask("A text of your own for a key, a value or the metric; repeatable.", "KEY=TEXT")] = (),
     where: Annotated[str | None, Ask("Only these flights, such as 'speed > 6'.", "CONDITION")] = None,
@@ -132,9 +132,9 @@ def table(
     force: Force = False,
     form: str = "text",
 ) -> Answer:
-    """Print or write a table for a paper: any keys down and across, one metric.
+    """Print or write a table for a paper: any keys as rows and columns, one metric.
 
-    Without keys, conditions are down and controllers across. A cell is the mean over the common flights, as in every
+    Without keys, rows are conditions and columns controllers. A cell is the mean over the common flights, as in every
     table and figure; k/n: only k of n flights were completed. LaTeX of a table that is too wide or too long is several
     tabulars below each other. The suffix of --out (tex, md, csv) chooses the format where --format does not.
 

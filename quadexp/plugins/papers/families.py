@@ -22,7 +22,7 @@ ORDER = (  # learned residuals and identified physics, with MPC and with feedbac
 TITLE = (
     "Mean position error over the flight (mm), over seeds; bold: least error of a line over the flights that all ended"
     " well, significantly less than every other (corrected for the choice among them and for the lines), by a"
-    " controller with no fewer flights; bounds are not ranked"
+    " controller with no fewer flights; oracles are not ranked"
 )
 
 

@@ -15,8 +15,8 @@ HEADING = "Learn"
 
 @command
 def reproduce(
-    name: Annotated[str, Ask("Of a public benchmark: nanodrone.", "NAME")],
-    data: Annotated[Path | None, Ask("Folder of its data, which you have to get.", "DIR")] = None,
+    name: Annotated[str, Ask("Name of a public benchmark: nanodrone.", "NAME")],
+    data: Annotated[Path | None, Ask("Folder of its data, which you have to fetch.", "DIR")] = None,
     out: OptionalOut = None,
     force: Force = False,
 ) -> Answer:

@@ -119,7 +119,7 @@ class L1(LayerPart):
         None, "delay of the commands in the predictor; null: what the controller knows", "[0, 0.5]", "s"
     )
     unmatched: bool = key(
-        False, "tell the controller the lateral force, which rotors cannot cancel, through the same low pass"
+        False, "give the controller the lateral force, which rotors cannot cancel, through the same low pass"
     )
 
     def remembers(self, inputs: Inputs) -> dict[str, int]:

@@ -15,4 +15,4 @@ class Tune(Settings):
     delay_margin: float = key(0.0, "Least delay margin of the loop.", "[0, inf)", "s")
     search_seed: int = key(0, "Seed of the search's own draws.", SEEDS)
     batch: int = key(1, "Trials drawn together, to fill many workers.", "[1, inf)")
-    name: str | None = key(None, "Of the option to write; default: NAME_tuned.")
+    name: str | None = key(None, "Name of the option to write; default: NAME_tuned.")

@@ -57,9 +57,8 @@ class Arrays:
     found: list[Block] = field(default_factory=list)
     kept: list[np.ndarray] = field(default_factory=list)  # alive as long as their addresses
     blocks: list[Block] = field(default_factory=list)
-    shared: dict[int, np.ndarray] = field(
-        default_factory=dict
-    )  # address of an array -> the one that it shares memory with
+    shared: dict[int, np.ndarray] = field(default_factory=dict)  # address of an array -> whose memory it shares
+    lent: dict[int, tuple[str, int]] = field(default_factory=dict)  # address of an array -> its place elsewhere
 
     def add(
         self, array: np.ndarray | None, *, written: bool = False, cleared: bool = False, changed: bool = False
@@ -113,6 +112,8 @@ class Arrays:
 
     def place(self, array: np.ndarray) -> tuple[str, int]:
         """The array of C, and where in it this one begins."""
+        if array.ctypes.data in self.lent:
+            return self.lent[array.ctypes.data]
         first, end = span(self.shared.get(array.ctypes.data, array))
         block = next(block for block in self.blocks if block.first <= first and end <= block.end)
         name, begins = block.place

@@ -17,7 +17,7 @@ def export_controller(
     overrides: Overrides = (),
     out: Out = Path("controller"),
     real: Annotated[Literal["double", "float"], Ask("Precision of its numbers.")] = "double",
-    prefix: Annotated[str, Ask("Of all names that a program around it sees.", "NAME")] = "qx",
+    prefix: Annotated[str, Ask("Prefix of all public names.", "NAME")] = "qx",
     conf: Conf = (),
     force: Force = False,
 ) -> Answer:
@@ -43,15 +43,15 @@ def export_controller(
 def fly(
     target: Annotated[str, Ask("betaflight, or udp:HOST:PORT, where a PX4 sends to.", "TARGET")],
     overrides: Overrides = (),
-    rates: Annotated[str, Ask("udp: predicted, or inverse=X,Y,Z, its rate loop's gains (1/s).", "RATES")] = "predicted",
+    rates: Annotated[str, Ask("predicted, or inverse=X,Y,Z, gains of its rate loop (1/s).", "RATES")] = "predicted",
     thrust: Annotated[str, Ask("udp: hover=SHARE, full, or curve=FACTOR.", "MAP")] = "full",
-    arm: Annotated[bool, Ask("udp: arm it, too.")] = False,
-    vehicle_is_real: Annotated[bool, Ask("udp: addresses off this machine are meant: a vehicle may move.")] = False,
-    lockstep: Annotated[bool, Ask("udp: every state is one instant of the reference: simulators that wait.")] = False,
+    arm: Annotated[bool, Ask("udp: arm the vehicle.")] = False,
+    vehicle_is_real: Annotated[bool, Ask("udp: allow addresses of other machines: a vehicle may move.")] = False,
+    lockstep: Annotated[bool, Ask("udp: a state is one instant of the reference, for simulators that wait.")] = False,
     firmware: Annotated[Path | None, Ask("betaflight: its SITL, which you build.", "PROGRAM")] = None,
-    rc_rate: Annotated[float, Ask("betaflight: pulses are sent (Hz); 0: with every command.", "HZ")] = 0.0,
+    rc_rate: Annotated[float, Ask("betaflight: rate of the radio's pulses (Hz); 0: with every command.", "HZ")] = 0.0,
     rc_steps: Annotated[int, Ask("betaflight: resolution of a stick's throw.", "COUNT")] = 1000,
-    ahead: Annotated[float, Ask("betaflight: for which predicted rates are sent (s).", "TIME")] = 0.03,
+    ahead: Annotated[float, Ask("betaflight: for which predicted rates are sent (s).", "TIME")] = 0.04,
     out: OptionalOut = None,
     conf: Conf = (),
     force: Force = False,
@@ -72,12 +72,12 @@ def fly(
 
     path = None if out is None else check_output(out, force=force)
     if target == "betaflight":
-        if (rates, thrust) != ("predicted", "full") or arm or vehicle_is_real or lockstep:
-            raise UsageError("fly betaflight: --rates, --thrust, --arm, --vehicle-is-real, --lockstep are for udp")
+        if thrust != "full" or arm or vehicle_is_real or lockstep:
+            raise UsageError("fly betaflight: --thrust, --arm, --vehicle-is-real, --lockstep are for udp")
         from quadexp.plugins.vehicle.betaflight.flight import Radio, fly_betaflight
         from quadexp.report.summary import flight_lines
 
-        flight = fly_betaflight(overrides, conf, Radio(rc_rate, rc_steps, ahead), firmware)
+        flight = fly_betaflight(overrides, conf, Radio(rc_rate, rc_steps, ahead, rates), firmware)
         about = flight.metadata
         record, lines = dict(about["row"]), [*flight_lines(about), f"firmware    {about['autopilot']}"]
     else:

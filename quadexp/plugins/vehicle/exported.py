@@ -104,16 +104,16 @@ class ExportedController:
         return {}
 
     @property
-    def rates(self) -> np.ndarray | None:
-        """Body rates of now and those that an MPC predicts for its next node, (2, 3) (rad/s); None of a law."""
+    def rates(self) -> tuple[np.ndarray, np.ndarray, float] | None:
+        """Body rates of the first two nodes of an MPC's prediction, (3,) each (rad/s), and the time between these (s);
+        None of a law."""
         function = getattr(self._library, f"{self.about['prefix']}_rates")
-        function.restype = ctypes.c_void_p
-        place, states = function(), self.about["states"]
-        if place is None:
+        function.restype = ctypes.POINTER(ctypes.c_double if self._real == np.float64 else ctypes.c_float)
+        place = function()
+        if not place:
             return None
-        kind = ctypes.c_double if self._real == np.float64 else ctypes.c_float
-        rows = (kind * (states + 3)).from_address(place - states * self._real.itemsize)
-        return np.array([rows[:3], rows[states:]], float)
+        numbers = np.array(place[:7], float)
+        return numbers[:3], numbers[3:6], numbers[6]
 
     def _given(self, values: Any) -> np.ndarray | None:
         return None if values is None else np.ascontiguousarray(values, self._real)

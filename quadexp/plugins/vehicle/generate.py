@@ -25,7 +25,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.control_step import Call
 from quadexp.control.mpc.mpc import MAX_TURN, PLAIN_ITERATIONS, TOLERANCE
 from quadexp.experiment.rollout import SampledReference
-from quadexp.physics.state import N_STATE, RATE
+from quadexp.physics.state import N_STATE
 from quadexp.plugins.vehicle.arrays import Arrays, span
 
 HERE = Path(__file__).parent
@@ -33,6 +33,7 @@ STEP = ("stages.c", "riccati_scalar.c", "active_set.c")
 KERNELS = (compiled_loop.SOURCE, *(stages.SOURCE.with_name(name) for name in STEP))
 CHANGEABLE = ("theta", "Q", "Q_end", "R", "u_min", "u_max", "settings")  # arguments that a user may change in flight
 REPLACED = {"bounded_X": "X_new", "bounded_U": "U_new"}  # results that are made when the others are read no more
+LENT = ("cost", "k", "multiplier")  # results of mpc_prepare that mpc_bounded, which needs most work, reads no more
 FLOAT_TOLERANCE = 1e-4  # N: bound violation that counts as none, in single precision
 FUNCTIONS = (  # of math.h, that generated code and the C of the bench call
     "sqrt", "exp", "log", "log10", "fabs", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",
@@ -132,8 +133,12 @@ def program(controller: Any, names: Names, start: tuple[ca.Function | None, list
         solved = ("x0", "X", "U", "X_ref", "U_ref", "guess")
         for name, array in mpc.step.arguments.items():
             arrays.add(array, written=name in (*solved, "shift"), cleared=name in solved, changed=name in CHANGEABLE)
+        place = node_memory(mpc)
         for name, array in mpc.step.results.items():
-            if name in REPLACED:
+            if name in LENT and not is_read(array, instant.calls):
+                arrays.lent[array.ctypes.data] = "mpc_work", place
+                place += array.size
+            elif name in REPLACED:
                 arrays.shared[array.ctypes.data] = mpc.step.results[REPLACED[name]]
             else:
                 arrays.add(array, written=True, cleared=True)
@@ -195,19 +200,24 @@ def in_precision(source: str, names: Names) -> str:
     return LITERAL.sub(r"\1f", source) if names.real == "float" else source
 
 
+def written_by_hand(exported: Program) -> dict[str, str]:
+    """Functions of the layers that are written in C, by their name."""
+    called: list[Any] = [entry.function for entry in exported.calls if hasattr(entry.function, "source")]
+    return {entry.function.name(): entry.source for entry in called}
+
+
 def model_c(exported: Program, functions: Sequence[ca.Function]) -> str:
     """The functions of the layers."""
     names = exported.names
     generator = ca.CodeGenerator(f"{names.prefix}_model", {"with_header": False})
-    called: list[Any] = [entry.function for entry in exported.calls if hasattr(entry.function, "source")]
-    written = {entry.function.name(): entry.source for entry in called}  # C by hand
+    written = written_by_hand(exported)
     for function in functions:
         if function.name() not in written:
             generator.add(function)
     renamed = "".join(f"#define {entry.name()} {names.prefix}_{entry.name()}\n" for entry in functions)
     body = in_precision(generator.dump(), names) if functions else ""
-    by_hand = "\n".join(dict.fromkeys(written.values()))  # several functions may be of one text
-    return f'#include "real.h"\n{QUIET}{renamed}{body}{in_precision(by_hand, names)}'
+    texts = "\n".join(dict.fromkeys(written.values()))  # several functions may be of one text
+    return f'#include "real.h"\n{QUIET}{renamed}{body}{in_precision(texts, names)}'
 
 
 def node_c(exported: Program) -> str:
@@ -217,16 +227,22 @@ def node_c(exported: Program) -> str:
     return f'#include "real.h"\n{QUIET}{in_precision(stages.node_source(functions), exported.names)}'
 
 
-def mpc_c(exported: Program) -> str:
-    """The MPC's step; its work is as long as the longest of its phases needs."""
-    mpc = exported.plan.mpc
+def node_memory(mpc: Any) -> int:
+    """Numbers of work of the functions of a node."""
     functions = stages.node_functions(mpc.vehicle, mpc.residual, mpc.step.form)
-    nodes, node_memory = len(mpc.step.arguments["U"]), max(function.sz_w() for function in functions)
+    return max(function.sz_w() for function in functions)
+
+
+def mpc_c(exported: Program) -> str:
+    """The MPC's step. Its work is that of a node with the results that are lent to it, or that of mpc_bounded."""
+    mpc = exported.plan.mpc
+    nodes = len(mpc.step.arguments["U"])
+    needed = node_memory(mpc) + sum(mpc.step.results[name].size for name in LENT)
     return (
         f'#include "real.h"\n{stages.stages_constants(mpc.step.form)}#include "stages.c"\n'
-        f"enum {{ NODES = {nodes}, NODE_MEMORY = {node_memory} }};\n"
+        f"enum {{ NODES = {nodes}, NEEDED = {needed} }};\n"
         "extern real mpc_work[];\n"
-        "real mpc_work[BOUNDED_MEMORY(NODES) > NODE_MEMORY ? BOUNDED_MEMORY(NODES) : NODE_MEMORY];\n"
+        "real mpc_work[BOUNDED_MEMORY(NODES) > NEEDED ? BOUNDED_MEMORY(NODES) : NEEDED];\n"
     )
 
 
@@ -273,7 +289,8 @@ int {p}_reset(const {p}_real state[{N_STATE}], const {p}_window *window);
 int {p}_step(const {p}_real state[{N_STATE}], const {p}_real *force, const {p}_real *speed, const {p}_window *window,
             {p}_real command[{P}_ROTORS]);
 
-/* Body rates (3) that are predicted for the next node (rad/s); null of a law without a prediction. */
+/* Seven numbers: body rates that are predicted for when the command begins to act, and for the node after that (rad/s),
+   and the time between these (s); null of a law without a prediction. */
 const {p}_real *{p}_rates(void);
 
 /* What may be changed between two steps, at these places; a reset leaves it as it is. */
@@ -355,7 +372,8 @@ def controller_c(exported: Program) -> str:
     image = arrays.contents("ram")
     used = np.flatnonzero(image)
     begins = image[: used[-1] + 1] if used.size else image[:0]
-    called = [function for _, function in functions.values()]
+    by_hand = written_by_hand(exported)
+    called = [function for name, function in functions.values() if name not in by_hand]  # those need no work
     called += [exported.start[0]] if exported.start[0] is not None else []
     work = max([1, *(function.sz_w() for function in called)])
     places = max([1, *(function.sz_iw() for function in called)])
@@ -365,7 +383,7 @@ def controller_c(exported: Program) -> str:
     lines += [f"enum {{ ROTORS = {vehicle.n_rotors}, ROWS = {exported.rows}, RAM = {max(len(image), 1)} }};"]
     lines += [f"enum {{ IMAGE = {len(begins)}, ROUND = {math.lcm(*(o.every for o in exported.calls))} }};"]
     lines += ["static real ram[RAM];"]
-    lines += [f"static real w[{work}];", f"static integer iw[{places}];"] if called else []
+    lines += [f"static real w[{work}];", f"static integer iw[{places}];"] if functions or called else []
     lines += [f"static real numbers[] = {{{names.literals(arrays.contents('numbers'))}}};"]
     if len(arrays.contents("rom")):
         lines += [f"static const real rom[] = {{{names.literals(arrays.contents('rom'))}}};"]
@@ -450,7 +468,6 @@ def plan_lines(exported: Program) -> list[str]:
     fields |= {name: at(array) for name, array in arrays.items()}
     content = ", ".join(f".{name} = {value}" for name, value in fields.items())
     steps = min(mpc.settings.initial_iterations, PLAIN_ITERATIONS)
-    rates = step.form.states + RATE.start
     return [
         *(f"int {phase}(const real **, real **, integer *, real *, int);" for phase in PHASES.values()),
         "extern real mpc_work[];",
@@ -459,7 +476,7 @@ def plan_lines(exported: Program) -> list[str]:
         f"static integer plan_sizes[] = {{{nodes}, {step.form.parameters}}};",
         f"enum {{ NODES = {nodes}, SAMPLES = {step.form.samples}, FULL_STEPS = {steps} }};",
         f"static real *const the_shift = {at(step.arguments['shift'])};",
-        f"#define RATES ({at(step.arguments['X'])} + {rates})",
+        f"static const real *const the_period = {at(step.arguments['dt'])};",
         f"static mpc the_plan = {{{content}}};",
     ]
 

@@ -21,25 +21,31 @@ from quadexp.physics.vehicle import Vehicle
 Rates = Callable[[np.ndarray, np.ndarray], np.ndarray]  # state (13,), thrusts (n,) (N) -> rates (3,) (rad/s)
 
 
-def rates_of(text: str, controller: Any) -> Rates:
-    """Of --rates TEXT for the step that a controller has just made. Raises UsageError for another text."""
+def rates_of(text: str, controller: Any, ahead: float | None = None) -> Rates:
+    """Of --rates TEXT for the step that a controller has just made. ahead: see predicted_rates.
+
+    Raises UsageError for another text."""
     gain = rate_gain(text)
     if gain is None:
-        return predicted_rates(controller)
+        return predicted_rates(controller, ahead)
     return lambda x, thrusts: wanted_rates(controller.vehicle, x, thrusts, gain, controller.control_period)
 
 
 def predicted_rates(controller: Any, ahead: float | None = None) -> Rates:
-    """Those that an MPC predicts for so long from now (s), between its first two nodes; None: for the second.
+    """Those that an MPC predicts for so long after its command begins to act (s); None: for its second node.
 
     Raises UsageError for a controller that predicts none."""
     core = innermost(controller)
     if not hasattr(core, "mpc") and getattr(core, "rates", None) is None:
-        raise UsageError("this controller predicts no body rates; an MPC does, or over MAVLink --rates inverse=X,Y,Z")
-    share = 1.0 if ahead is None else ahead / (core.node_times[1] - core.node_times[0])
+        raise UsageError("this controller predicts no body rates, as an MPC does: --rates inverse=X,Y,Z")
 
     def predicted(x: np.ndarray, thrusts: np.ndarray) -> np.ndarray:
-        now, later = core.mpc.prediction[0][:2, RATE] if hasattr(core, "mpc") else core.rates
+        if hasattr(core, "mpc"):
+            now, later = core.mpc.prediction[0][:2, RATE]
+            period = core.mpc.step.arguments["dt"][0]  # s; auto changes it in flight
+        else:
+            now, later, period = core.rates
+        share = 1.0 if ahead is None else ahead / period
         rates: np.ndarray = now + share * (later - now)
         return rates
 

@@ -3,7 +3,7 @@
    that is far away, a step that has no answer. Freestanding C11: no allocation, of libraries only math.h.
 
    Declared before: ROTORS, ROWS, IMAGE, ROUND, ram, image, calls, the_loop, hover, thrust_min, thrust_max, start,
-   command_now; without NO_PLAN the_plan, the_shift, NODES, SAMPLES, FULL_STEPS, RATES. */
+   command_now; without NO_PLAN the_plan, the_shift, the_period, NODES, SAMPLES, FULL_STEPS. */
 #ifdef __FAST_MATH__
 #error "compile this file without -ffast-math: what is not a number must be seen"
 #endif
@@ -172,10 +172,15 @@ int QX(step)(const real state[BODY], const real *force, const real *speed, const
     return status;
 }
 
-/* Body rates that an MPC predicts for its next node (rad/s), for stacks that take rates; null of a law. */
+/* Body rates of the first two nodes of an MPC's prediction (rad/s), and the time between these (s), for stacks that take
+   rates; null of a law. */
 const real *QX(rates)(void) {
 #ifndef NO_PLAN
-    return RATES;
+    static real predicted[7];
+    copy(predicted, the_plan.X + BODY - 3, 3);
+    copy(predicted + 3, the_plan.X + the_plan.states + BODY - 3, 3);
+    predicted[6] = *the_period;
+    return predicted;
 #else
     return 0;
 #endif

@@ -138,11 +138,7 @@ class Dryden(MeanWind):
         None, "at which turbulence passes; null: the vehicle's own through the mean wind", "[0.01, 100]", "m/s"
     )
     airspeed_min: float = key(
-        1.0,
-        "least of the vehicle's own airspeed that counts: air does not stand frozen",
-        "[0.01, 100]",
-        "m/s",
-        when="airspeed=null",
+        1.0, "least airspeed of the vehicle that is used", "[0.01, 100]", "m/s", when="airspeed=null"
     )
 
     def check_together(self) -> None:

@@ -200,10 +200,10 @@ class Navigation(Effect):
     prefix = "estimator."
 
     process_factor: float = key(
-        1.0, "factor on the standard deviations of the IMU's noise that the filter believes", "(0, 1000]"
+        1.0, "factor on the standard deviations of the IMU's noise that the filter assumes", "(0, 1000]"
     )
     measurement_factor: float = key(
-        1.0, "factor on the standard deviations of the aids' noise that the filter believes", "(0, 1000]"
+        1.0, "factor on the standard deviations of the aids' noise that the filter assumes", "(0, 1000]"
     )
     warm_up: float = key(
         10.0, "how long the vehicle has stood, with the filter running, when a flight begins", "[0, 600]", "s"

@@ -36,7 +36,7 @@ class ImuGnss(InertialSensors):
     """
 
     gnss_rate: float = key(10.0, "fixes a second, at most imu_rate", RATE, "Hz")
-    gnss_delay: float = key(0.1, "between the fix's time and the fix at hand", "[0, 2]", "s")
+    gnss_delay: float = key(0.1, "delay from the fix's time to its arrival", "[0, 2]", "s")
     gnss_position_noise: Triple = key(
         (0.0085, 0.0085, 0.015), "standard deviation of the position, east, north, up; white", "(0, 100]", "m"
     )
@@ -46,7 +46,7 @@ class ImuGnss(InertialSensors):
     gnss_dropout: float = key(0.01, SHARE)
     gnss_outage: float = key(0.5, OUTAGE)
     heading_rate: float = key(50.0, "readings a second, at most imu_rate", RATE, "Hz")
-    heading_delay: float = key(0.0, "between the reading's time and the reading at hand", "[0, 1]", "s")
+    heading_delay: float = key(0.0, "delay from the reading's time to its arrival", "[0, 1]", "s")
     heading_noise: float = key(0.035, "standard deviation of the heading; white", "(0, 3]", "rad")
 
     @property

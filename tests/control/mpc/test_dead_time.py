@@ -26,6 +26,7 @@ from quadexp.world.link import Latency
 from quadexp.world.world import World
 from tests.control.mpc.delayed import DelayedPlant
 from tests.models.residuals import RESIDUALS, make_residual
+from tests.slow import slow
 from tests.states import random_state
 
 QUIET = PlantEffects(motor_noise_density=0.0, force_noise_density=0.0, torque_noise_density=0.0)
@@ -193,9 +194,11 @@ def test_a_time_out_of_range_is_refused(key, value):
     ("settings", "latency", "lag", "most"),
     [
         ({"dead_time": 0.05}, 0.02, 0.03, 0.05),  # measured 0.028 mm
-        ({"dead_time": 0.02, "motor_lag": 0.03}, 0.02, 0.03, 0.04),  # 0.026
         ({"dead_time": 0.02, "motor_lag": 0.03, "first_node": 0.02, "horizon": 0.6}, 0.02, 0.03, 0.02),  # 0.001
-        ({"dead_time": 0.033}, 0.033, 0.0, 0.05),
+        *slow(
+            ({"dead_time": 0.02, "motor_lag": 0.03}, 0.02, 0.03, 0.04),  # 0.026
+            ({"dead_time": 0.033}, 0.033, 0.0, 0.05),
+        ),
     ],
 )
 def test_known_delays_cost_no_accuracy(vehicle, trajectory, settings, latency, lag, most):
@@ -228,10 +231,10 @@ def test_the_prediction_that_may_change_is_that_of_fixed_times(vehicle, rng, dea
         fixed.memory.commit()
     free.sent.values[...] = commands[-len(free.sent.values) :]
     weights = span_weights(len(free.sent.values), settings.control_period)
-    numbers = prediction_numbers(weights, free.ahead.parts, 0.0, dead_time, dead_time, lag)
-    numbers.append(weights([dead_time, dead_time, dead_time, lag]))
-    for array, values in zip([*free.ahead.tuned, free.delivered.tuned], numbers, strict=True):
-        array[...] = np.array(ca.DM(values)).T.reshape(array.shape)
+    numbers = prediction_numbers("ahead", weights, free.ahead.parts, (0.0, dead_time), dead_time, lag)
+    numbers["delivered"] = weights([dead_time, dead_time, dead_time, lag])
+    for name, array in (free.ahead.tuned("ahead") | {"delivered": free.delivered.tuned}).items():
+        array[...] = np.array(ca.DM(numbers[name])).T.reshape(array.shape)
     x = np.r_[1.0, 2, 3, 1, 0, 0, 0, 2, -1, 0.5, 0.3, 0.2, -0.4]
     ours, theirs = free.predict(x), fixed.predict(x)
     assert len(ours) == 17 and np.abs(ours[: len(theirs)] - theirs).max() < 2e-3  # the thrusts always stand behind

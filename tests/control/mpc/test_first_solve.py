@@ -1,5 +1,7 @@
 """The first step from kicked starts: at a stationary point of the whole problem, by IPOPT, or flagged."""
 
+from itertools import product
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from quadexp.report.metrics import flight_metrics
 from quadexp.world import PlantEffects, SimplifiedPlant
 from tests.control.mpc.converged import ConvergedProblem
 from tests.models.residuals import make_residual
+from tests.slow import slow
 
 TURNED = np.r_[np.ones(3), -np.ones(4), np.ones(6)]  # the same state with the other quaternion
 
@@ -46,16 +49,11 @@ def first_steps(name, air, settings, seed, starts=10, path=None):
         yield controller, x, states, inputs, u, record
 
 
-@pytest.mark.parametrize(
-    ("name", "error"),
-    [
-        ("torrente", "plain"),
-        ("crazyflie", "body"),
-        pytest.param("torrente", "body", marks=pytest.mark.slow),
-        pytest.param("crazyflie", "plain", marks=pytest.mark.slow),
-    ],
-)
-@pytest.mark.parametrize("air", ["none", "linear_drag", "gaussian_process"])
+STARTS = [*product(("torrente", "crazyflie"), ("none", "linear_drag", "gaussian_process"), ("plain", "body"))]
+EACH = [("torrente", "gaussian_process", "plain"), ("torrente", "linear_drag", "body"), ("crazyflie", "none", "body")]
+
+
+@pytest.mark.parametrize(("name", "air", "error"), [*EACH, *slow(*(start for start in STARTS if start not in EACH))])
 def test_kicked_starts_converge_or_say_so(name, air, error):
     """120 in all. IPOPT, begun at the answer, stays there; at most one in ten may be flagged instead."""
     settings = MPCSettings(attitude_error=error)

@@ -15,6 +15,7 @@ from quadexp.control.mpc.step import Step, array_shapes
 from quadexp.models.residual import no_residual
 from tests.control.mpc.unrolled import unrolled
 from tests.models.residuals import RESIDUALS, make_residual, with_rotors
+from tests.slow import slow
 from tests.states import random_state, with_rotor_count
 
 FORMS = {
@@ -87,8 +88,12 @@ def cached_function(vehicle, residual, *flags: str, **structure) -> CompiledStag
     return CompiledStages(form, linked_library("mpc", *((source, flags) for source in sources if source is not None)))
 
 
+# Of every kind of model the one with most features, and those with other sources of C.
+DIFFERENT = ("none", "gp_weighed", "blade_element_plant", "neural", "sum")
+
+
 @compiled
-@pytest.mark.parametrize("name", RESIDUALS)
+@pytest.mark.parametrize("name", [*DIFFERENT, *slow(*(name for name in RESIDUALS if name not in DIFFERENT))])
 def test_any_model(vehicle, rng, name):
     """Those in lanes, and those that choose between numbers; with thrusts as states and a disturbance."""
     vehicle = with_rotors(vehicle) if name.startswith("blade") else vehicle
@@ -98,7 +103,7 @@ def test_any_model(vehicle, rng, name):
 
 
 @compiled
-@pytest.mark.parametrize("rotors", [5, 6, 8])
+@pytest.mark.parametrize("rotors", [5, 8, *slow(6)])
 def test_any_number_of_rotors(vehicle, rng, rotors):
     vehicle = with_rotor_count(vehicle, rotors)
     residual, form = no_residual(vehicle), FORMS["all"]
@@ -107,7 +112,7 @@ def test_any_number_of_rotors(vehicle, rng, rotors):
 
 
 @compiled
-@pytest.mark.parametrize("flag", ["-O3", "-mno-avx512f", "-mno-avx", "-O0"])
+@pytest.mark.parametrize("flag", ["-O3", "-mno-avx", *slow("-mno-avx512f", "-O0")])
 def test_narrower_registers_and_none(vehicle, rng, flag):
     residual = make_residual("gp_per_axis", vehicle)
     assert_written_out(Step(cached_function(vehicle, residual, flag), 10), vehicle, residual, {}, rng)

@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.compile.symbolic import ca
 from quadexp.control.control_step import InputArrays, run
 from quadexp.control.delivered import SentCommands
 from quadexp.models.residual import no_residual
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.plugins.auto.bank import Bank, first_order_gain, stationary_gain
-from quadexp.plugins.auto.posterior import BETWEEN, FOUND, NEVER, STEPS, Search
-from quadexp.plugins.auto.responses import command_weights, reading_weights, tails
-from quadexp.plugins.auto.settings import BANK
+from quadexp.plugins.auto.posterior import BETWEEN, FOUND, Search
+from quadexp.plugins.auto.responses import command_weights, reading_weights
+from quadexp.plugins.auto.settings import BANK, NEVER
 
 PERIOD = 0.02
 
@@ -41,18 +40,17 @@ class Posterior(NamedTuple):
     at_end: bool
 
 
-def posterior(bank, backend="interpreted"):
-    """As the instants of a flight look for it: see decide.py."""
+def posterior(bank, backend="interpreted", rounds=1):
+    """As the instants of a flight look for it, see decide.py; rounds: finer grids in an instant."""
     odds, found = None, []
     for against in BANK.rates_odds, (*BANK.rates_odds[:2], NEVER):
-        search = Search(bank, backend, {"searches": np.ones(1), "refines": np.ones(1)}, np.array(against))
+        search = Search(bank, backend, {"searches": np.ones(1), "rounds": np.full(1, float(rounds))}, np.array(against))
         search.coarse()
         odds = odds or [search.left[name].copy() for name in ("odds", "at_end")]
-        for _ in range(BANK.passes):
-            centre = search.left["mode"].copy()
+        for _ in range(BANK.passes // rounds):
             search.fine()
             run([search.moved()])
-            if (np.abs(search.found["mode"] - centre) < STEPS - 1e-9).all():
+            if not search.found["moved"]:
                 break
         found.append([search.found[name].copy() for name in FOUND])
         if search.left["rates"] != BETWEEN:
@@ -103,7 +101,7 @@ def flown(
         rates, force = (np.apply_along_axis(np.convolve, 0, y, np.ones(of) / of)[:total] for y in (rates, force))
     x = np.zeros(13)
     x[3] = 1.0
-    bank.reset(x, command)
+    bank.memory.begin(bank.start(x, command))
     calls, error = bank.after(told, told.state, command), np.zeros(2)
     told.state[:] = x
     for k in range(steps):
@@ -127,7 +125,7 @@ def test_commands_that_do_not_change_say_nothing_of_their_delays(vehicle):
     """At hover: what nothing moves has no likeliest scale, and that made all delays not a number."""
     rng, bank, told = np.random.default_rng(0), bank_of(vehicle), InputArrays(vehicle.n_rotors)
     hover = np.full(vehicle.n_rotors, vehicle.hover_thrust)
-    bank.reset(np.eye(13)[3], hover)
+    bank.memory.begin(bank.start(np.eye(13)[3], hover))
     calls, told.accelerometer_valid[0] = bank.after(told, told.state, hover), 1.0
     for k in range(40):
         told.state[:] = np.eye(13)[3]
@@ -145,29 +143,12 @@ def test_commands_that_do_not_change_say_nothing_of_their_delays(vehicle):
 def test_moments_of_a_flight_that_has_hardly_begun_have_a_posterior(vehicle):
     """All of them zero: a matrix that was inverted was singular."""
     bank = bank_of(vehicle)
-    bank.reset(np.eye(13)[3], np.full(vehicle.n_rotors, vehicle.hover_thrust))
+    bank.memory.begin(bank.start(np.eye(13)[3], np.full(vehicle.n_rotors, vehicle.hover_thrust)))
     assert np.isfinite(posterior(bank).mean).all()
 
 
 def weights_of(count, total, lag, span):
-    return np.array(command_weights(PERIOD, count, total, lag, span)).ravel()
-
-
-@pytest.mark.parametrize("span", [0.0, 0.013, PERIOD])
-def test_sums_by_head_and_tail_are_those_of_the_weights(rng, span):
-    """Of all hypotheses at once, against each one's weights on the whole matrix; the oldest weight counts for all
-    before it."""
-    m = 30
-    root, y = rng.normal(size=(m, m)), rng.normal(size=m)
-    totals, lags = np.array([0.0, 0.02, 0.031, 0.12]), np.array([0.0, 0.008, 0.064])
-    M = root @ root.T
-    cross, square = map(np.array, tails(ca.DM(y).T, ca.DM(M), PERIOD, ca.DM(totals), ca.DM(lags), span))
-    for i, total in enumerate(totals):
-        for j, lag in enumerate(lags):
-            h = weights_of(m, total, lag, span)
-            assert h.sum() == pytest.approx(1)
-            assert cross[i, j] == pytest.approx(h @ y, rel=1e-9, abs=1e-9)
-            assert square[i, j] == pytest.approx(h @ M @ h, rel=1e-9)
+    return command_weights(PERIOD, count, np.array([total]), np.array([lag]), span)[0]
 
 
 def squares_of(M, h):
@@ -180,7 +161,7 @@ def test_the_moments_are_those_of_a_kalman_filter_of_each_hypothesis(vehicle):
     """Of one hypothesis at a time, the filter written out, its gains those of a stationary one."""
     bank, rng, n = bank_of(vehicle), np.random.default_rng(3), vehicle.n_rotors
     told, command, x = InputArrays(n), np.full(n, vehicle.hover_thrust), np.eye(13)[3]
-    bank.reset(x, command)
+    bank.memory.begin(bank.start(x, command))
     calls, sent = bank.after(told, told.state, command), SentCommands(n, PERIOD, 0.6)
     sent.reset(command)
     age, dead_time, lag = 0.013, 0.007, 0.021
@@ -260,17 +241,31 @@ def test_a_posterior_is_a_pure_function_of_the_moments(vehicle):
         assert all(np.array_equal(one, two) for one, two in zip(first, again, strict=True))
 
 
-def test_a_posterior_in_c_is_that_of_the_virtual_machine(vehicle):
-    bank = flown(vehicle, age=0.012, dead_time=0.01, lag=0.02, steps=100)
-    for one, two in zip(posterior(bank), posterior(bank, "compiled"), strict=True):
-        assert two == pytest.approx(one, rel=1e-9)
+@pytest.mark.parametrize(
+    "about",
+    [
+        {"age": 0.012, "dead_time": 0.01, "lag": 0.02},
+        {"age": 0.03, "dead_time": 0.005, "lag": 0.06, "span": 0.013},
+        {"dead_time": 0.055, "span": PERIOD, "missing": 0.1},
+        {"age": BANK.largest_age},
+        {"steps": 0},
+    ],
+)
+def test_a_posterior_in_c_is_that_of_the_plain_one(vehicle, about):
+    """C has sums by head and tail, NumPy the weights of each hypothesis on the whole matrix."""
+    bank = flown(vehicle, **{"steps": 100} | about)
+    plain = posterior(bank)
+    for rounds in (1, BANK.passes):
+        for one, two in zip(plain, posterior(bank, "compiled", rounds), strict=True):
+            assert two == pytest.approx(one, rel=1e-9, abs=1e-12)
+    assert all(np.array_equal(one, two) for one, two in zip(plain, posterior(bank, rounds=BANK.passes), strict=True))
 
 
 @pytest.mark.parametrize("age", [0.0, 0.004, 0.013, 0.02])
 def test_the_mean_between_readings_is_that_of_a_line(rng, age):
     readings, fine = rng.normal(size=8), np.arange(4000) / 4000
     line = np.interp(-(age + PERIOD * fine), -PERIOD * np.arange(8)[::-1], readings[::-1])
-    weights = np.array(reading_weights(PERIOD, 8, ca.DM([age])))[0]
+    weights = reading_weights(PERIOD, 8, np.array([age]))[0]
     assert weights @ readings == pytest.approx(line.mean(), abs=2e-3)
 
 
@@ -298,7 +293,7 @@ def test_attitudes_tell_their_age_against_rates(vehicle, age, of_rates):
     for rate in turns[1:]:
         attitudes.append(attitudes[-1] * Rotation.from_rotvec(fine * rate))
     told, command, x = InputArrays(vehicle.n_rotors), np.full(vehicle.n_rotors, vehicle.hover_thrust), np.eye(13)[3]
-    bank.reset(x, command)
+    bank.memory.begin(bank.start(x, command))
     calls, told.accelerometer_valid[0] = bank.after(told, told.state, command), 1.0
     for k, now in enumerate(range(0, len(t), round(bank.period / fine))):
         attitude = attitudes[max(now - round(age / fine), 0)] * Rotation.from_rotvec(noise[1] * rng.normal(size=3))

@@ -9,7 +9,8 @@ from scipy.signal import lfilter
 
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
-from quadexp.plugins.auto.beliefs import BAND, behind, beliefs, force_variance, lag_of, truths
+from quadexp.plugins.auto.beliefs import behind, beliefs, force_variance, lag_of, truths
+from quadexp.plugins.auto.settings import INTERVAL
 
 STEP = 0.0005  # s
 
@@ -36,7 +37,8 @@ def test_thrusts_that_are_expected_too_late_look_like_a_force(sd, known):
     columns = {"observer_force_z": force, "auto_force_lag": lag * ones, "auto_thrust_scale_sd": np.nan * ones}
     columns |= {"auto_delay": (0.01 + known) * ones}
     columns |= {
-        f"auto_delay_{end}": columns["auto_delay"] + sign * BAND * sd for end, sign in (("low", -1), ("high", 1))
+        f"auto_delay_{end}": columns["auto_delay"] + sign * INTERVAL.band * sd
+        for end, sign in (("low", -1), ("high", 1))
     }
     columns |= {"auto_acts_dead_time": 0.01 * ones, "auto_acts_lag": 0.0 * ones}
     state = np.tile([0, 0, 0, 1.0, *np.zeros(9)], (len(t), 1))
@@ -87,7 +89,7 @@ def test_what_a_world_draws_or_carries_has_no_true_scale():
 
 
 def test_a_flight_of_one_sample_has_no_beliefs():
-    flight = fly_one(
-        compose(["controller=perfect_mpc", "trajectory=hover", "trajectory.duration=0.01", "remedies=auto"])
-    )
+    interpreted = "controller.backend=interpreted", "plant.backend=interpreted"
+    hover = "controller=perfect_mpc", "trajectory=hover", "trajectory.duration=0.01", "remedies=auto"
+    flight = fly_one(compose([*hover, *interpreted]))
     assert len(flight) == 1 and not beliefs(flight)

@@ -39,7 +39,7 @@ class Watched:
         self.inputs = {"x": np.eye(13)[3].copy(), "reading": np.zeros(3), "thrust": hover, "mean": hover.copy()}
         self.read, self.k = np.zeros(1), 0
         self.calls = self.filter.before(self.inputs, self.read)
-        self.filter.reset(self.inputs["x"])
+        self.filter.memory.begin(self.filter.start(self.inputs["x"]))
         self.vehicle = vehicle
 
     def step(self, acceleration, read=True):

@@ -15,13 +15,16 @@ from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.physics.state import POSITION, VELOCITY
 from quadexp.plugins.auto.around_law import later, world_of
-from quadexp.plugins.auto.beliefs import LIMITS, beliefs, beliefs_figure, beliefs_table
+from quadexp.plugins.auto.beliefs import beliefs, beliefs_figure, beliefs_table
+from quadexp.plugins.auto.settings import LIMITS
 from quadexp.plugins.auto.settings import PATH as LAW
 from quadexp.report.metrics import position_error
 from quadexp.report.summary import flight_lines
+from tests.slow import slow
 
 pytestmark = pytest.mark.usefixtures("unmeasured")
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"  # whose vehicle has six rotors
+INTERPRETED = ("controller.backend=interpreted", "plant.backend=interpreted")  # where nothing is flown
 PATH = ("trajectory=circle", "trajectory.speed=8", "sensor.accelerometer_noise=[0.05,0.05,0.05]", "seed=5")
 
 
@@ -187,10 +190,9 @@ def test_an_unstable_loop_with_rotor_speeds_is_refused_in_a_line(monkeypatch):
     ("world", "sensor", "most"),
     [
         ("sun_baseline", "high", 0.06),
-        ("sun_force_10", "high", 0.12),
         ("sun_mass_30", "perfect", 0.05),
-        ("sun_com_15", "low", 0.1),
         ("sun_late_50", "low", 0.15),
+        *slow(("sun_force_10", "high", 0.12), ("sun_com_15", "low", 0.1)),
     ],
 )
 def test_rotor_speeds_are_worth_what_their_sheet_says(world, sensor, most):
@@ -205,9 +207,9 @@ def test_rotor_speeds_are_worth_what_their_sheet_says(world, sensor, most):
 
 
 def test_poses_that_are_late_are_found_before_the_vehicle_is_far_off():
-    """Largest error of an ellipse at 10 m/s and 20 m/s^2, from its start on: with a look every 0.1 s it was 0.23 m;
-    0.15 where what was found acted in the instant that it was looked for in, for which a step left C for Python."""
-    assert position_error(ellipse("sun_late_50", "perfect")).max() < 0.21
+    """Largest error of an ellipse at 10 m/s and 20 m/s^2, from its start on: with a look every 0.1 s it was 0.23 m, and
+    0.198 where each of three finer grids took an instant of its own; that alone it is 0.188, 0.157 with all at once."""
+    assert position_error(ellipse("sun_late_50", "perfect")).max() < 0.16
 
 
 def test_rates_between_a_late_pose_and_now_are_dated():
@@ -275,8 +277,8 @@ def test_what_it_believes_is_true_and_shown():
     [
         (["world=only_latency", "truth.mass=1.08"], 1 / 1.08),
         (["world=only_battery"], 0.9),  # what is left after 20 s
-        (["vehicle=hummingbird", "world=only_battery", "truth.mass=1.05"], 0.94 / 1.05),
         (["world=everything"], np.nan),  # a drawn factor is in no column
+        *slow((["vehicle=hummingbird", "world=only_battery", "truth.mass=1.05"], 0.94 / 1.05)),
     ],
 )
 def test_the_scale_of_the_thrust_is_known_where_the_world_states_it(given, true):
@@ -377,7 +379,7 @@ def test_a_law_flies_corners_in_wind(sensor, seed):
 )
 def test_what_it_cannot_stand_around_is_refused(given, said):
     with pytest.raises(UsageError, match=f"delay=auto: {said}"):
-        fly_one(compose(["trajectory=hover", "delay=auto", *given]))
+        fly_one(compose(["trajectory=hover", "delay=auto", *given, *INTERPRETED]))
 
 
 GUST = (
@@ -447,7 +449,7 @@ CRAZYFLIE = ("vehicle=crazyflie", "plant.linear_drag=[.0081,.0081,0]", "plant.qu
 
 @pytest.mark.parametrize(
     ("controller", "vehicle", "speed"),
-    [("perfect_mpc", BLACKBIRD, 12), ("perfect_mpc", CRAZYFLIE, 10), ("nominal_mpc", BLACKBIRD, 12)],
+    [("perfect_mpc", BLACKBIRD, 12), ("perfect_mpc", CRAZYFLIE, 10), *slow(("nominal_mpc", BLACKBIRD, 12))],
 )
 def test_corners_at_the_limit_in_still_air_are_flown(controller, vehicle, speed):
     """The horizon of 0.6 s of the stiffest grid was too short for them: the vehicle tumbled."""
@@ -505,7 +507,7 @@ def test_a_flight_without_any_motion_has_a_posterior():
     assert fly_one(compose(words.split())).outcome == "ok"
 
 
-@pytest.mark.parametrize("rate", [4, 10, 15])
+@pytest.mark.parametrize("rate", [4, 15, *slow(10)])
 def test_intervals_at_low_rates_contain_the_truth(rate):
     late = ["estimator=late", "estimator.delay=0.02", "wind=gusty", "trajectory=circle", "trajectory.speed=2", "seed=3"]
     words = [

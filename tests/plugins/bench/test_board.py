@@ -62,7 +62,7 @@ def test_tables_say_who_lost_and_which_settings():
         ["= 2", "nominal_mpc", "as shipped", "6 of 6"],
     ]
     assert [row[5] for row in table.rows] == ["1.00 (4)", "1.59"]  # of the surviving flights, which says how many
-    assert table.notes == ["3 seeds cannot show p < 0.05: at least 6 are needed; nobody is significantly different"]
+    assert table.notes == ["3 seeds cannot show p < 0.05: at least 6 are needed; no two are significantly different"]
     errors = error_table(ROWS, metric="mean_error", by=("task",))
     assert list(errors.columns) == ["task", "nominal_mpc", "other"]
     assert errors.rows[0] == ["circle", "200.0", "100.0 (1 lost)"]

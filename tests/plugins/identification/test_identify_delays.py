@@ -102,7 +102,7 @@ def test_a_sum_that_is_known_is_set():
 
 
 def test_a_log_whose_parts_are_unsure_sets_its_sum(tmp_path):
-    """No lag of the motors: dead time and lag are significantly different by a log at 100 Hz only roughly."""
+    """No lag of the motors: a log at 100 Hz distinguishes dead time and lag only roughly."""
     flight, path = late_flight(0.02, 0.03), tmp_path / "log.parquet"
     write_flight(path, flight)
     report = identify_delays([path], None, None)

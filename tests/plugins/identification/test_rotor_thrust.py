@@ -23,6 +23,7 @@ from quadexp.world.link import Latency
 from quadexp.world.simplified import PlantEffects, SimplifiedPlant
 from quadexp.world.stated_estimate import StatedEstimate
 from quadexp.world.world import World
+from tests.slow import slow
 
 DT = 0.02
 
@@ -192,13 +193,15 @@ def test_where_commands_act_at_once_they_stay(vehicle):
 @pytest.mark.parametrize(
     ("effects", "lags", "kind", "delay"),
     [
-        ([LAGGING], (UP, DOWN), "rotor_speed", 0.0),
         ([Actuator(time_constant_up=0.03, time_constant_down=0.03, lag_of="thrust")], (0.03, 0.03), "thrust", 0.0),
-        ([Latency(latency=0.025)], (0.0, 0.0), None, 0.025),
         ([LAGGING, Latency(latency=0.008)], (UP, DOWN), "rotor_speed", 0.008),
-        ([LAGGING, StatedEstimate(delay=0.01)], (UP, DOWN), "rotor_speed", 0.01),
+        *slow(
+            ([LAGGING], (UP, DOWN), "rotor_speed", 0.0),
+            ([Latency(latency=0.025)], (0.0, 0.0), None, 0.025),
+            ([LAGGING, StatedEstimate(delay=0.01)], (UP, DOWN), "rotor_speed", 0.01),
+        ),
     ],
-    ids=["up and down", "thrust", "latency", "lag and latency", "lag and late estimate"],
+    ids=["thrust", "lag and latency", "up and down", "latency", "lag and late estimate"],
 )
 def test_the_lag_and_the_delay_are_found_by_what_remains(vehicle, clean, effects, lags, kind, delay):
     """Without rotor speeds a late estimate is as a late command; with what is found the noise of the plant remains."""
@@ -216,10 +219,10 @@ def test_the_lag_and_the_delay_are_found_by_what_remains(vehicle, clean, effects
     "effects",
     [
         [LAGGING, Latency(latency=0.008)],
-        [LAGGING, Battery(), Latency(latency=0.008)],
         [replace(LAGGING, rotor_scale_std=0.05, flight_scale_std=0.05), Battery(), Latency(latency=0.008)],
+        *slow([LAGGING, Battery(), Latency(latency=0.008)]),
     ],
-    ids=["lag", "battery", "battery and spread"],
+    ids=["lag", "battery and spread", "battery"],
 )
 def test_rotor_speeds_say_what_the_rotors_delivered(vehicle, clean, effects):
     """Whatever scale and voltage do; a late state is then given from late commands. A scale of c_t, which no speed

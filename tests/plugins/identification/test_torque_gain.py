@@ -11,6 +11,7 @@ from quadexp.plugins.logs.samples import gather_to_fit
 from tests.models.logged_flights import logged_flight
 from tests.models.recorded_flights import crazyflie
 from tests.plugins.identification.test_torque import GAIN, turning
+from tests.slow import slow
 
 IDEAL = ["plant.motor_loss=0"]  # so that the vehicle file is the truth
 MOTORS = "plant.motor_noise_density=0.00224"  # five times the usual
@@ -23,7 +24,7 @@ WORLDS = {
 }
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("axis", [0, 2, *slow(1)])
 def test_strong_disturbances_do_not_bias_it(axis):
     """Ten times the noise of test_torque.py, three groups of flights: the band is off where this is not."""
     ratios = []
@@ -89,7 +90,7 @@ def test_the_yaw_of_motor_commands_is_not_taken():
     assert "yaw 0.08 [0.079, 0.081] (motor commands do not tell it: the file's is used)" in str(of_commands)
 
 
-@pytest.mark.parametrize("factor", [0.8, 1.25, 1.5])
+@pytest.mark.parametrize("factor", [0.8, 1.5, *slow(1.25)])
 def test_another_inertia_is_found_and_flown(tmp_path, factor):
     """The vehicle file's inertia is wrong by this factor: gain 1 / factor, in the model that identify stores."""
     words = ["trajectory=random", "trajectory.speed=6", "controller=geometric", *IDEAL]

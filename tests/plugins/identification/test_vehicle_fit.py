@@ -1,6 +1,7 @@
 """A vehicle model from logged flights with a known truth, and from recorded ones of which something is published."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -187,14 +188,19 @@ def test_a_thinned_ladder_says_the_same(monkeypatch):
     assert ladder.best_level(some) == ladder.best_level(every)
 
 
+@cache
+def identified_of_drag(radius):
+    """The vehicle of three flights with linear drag, by a radius of its rotors or without one."""
+    vehicle = replace(vehicle_named("crazyflie"), mass=0.03)
+    flown = [logged_flight(seed, seconds=12) for seed in range(3)]
+    flights = [Flight(flight.columns, {**flight.metadata, "vehicle": vehicle.record}) for flight in flown]
+    return identify_vehicle(flights, ["a", "b", "c"], vehicle, FitSettings(radius=radius))
+
+
 @pytest.mark.parametrize(("radius", "winner"), [(0.02, "blade_element"), (0.3, ladder.HOVER_INFLOW)])
 def test_knowing_the_radius_keeps_the_row_without_it_and_takes_the_better(radius, winner):
     """Linear drag is the truth: which radius helps on flights left out is chance, and the ladder shows both rows."""
-    vehicle, names = replace(vehicle_named("crazyflie"), mass=0.03), ["a", "b", "c"]
-    flown = [logged_flight(seed, seconds=12) for seed in range(3)]
-    flights = [Flight(flight.columns, {**flight.metadata, "vehicle": vehicle.record}) for flight in flown]
-    without = identify_vehicle(flights, names, vehicle)
-    found = identify_vehicle(flights, names, vehicle, FitSettings(radius=radius))
+    without, found = identified_of_drag(None), identified_of_drag(radius)
     rows = {row["level"]: row for row in found.report["selection"]}
     alone = {row["level"]: row for row in without.report["selection"]}
     assert ladder.HOVER_INFLOW in rows and ladder.HOVER_INFLOW not in alone

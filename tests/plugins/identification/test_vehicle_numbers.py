@@ -15,6 +15,7 @@ from quadexp.plugins.identification.vehicle_numbers import next_flight, number_l
 from quadexp.plugins.logs.samples import gather
 from tests.models.logged_flights import CURVE, logged_flight
 from tests.models.recorded_flights import crazyflie, recorded_flight
+from tests.slow import slow
 
 
 def found_of(flights, vehicle=None, **settings):
@@ -29,7 +30,7 @@ def row_of(numbers, name):
 HOVER = (-CURVE[0] + np.sqrt(CURVE[0] ** 2 + CURVE[1] * GRAVITY)) / (2 * CURVE[1])  # 4 (c_1 s + c_2 s^2) = g
 
 
-@pytest.mark.parametrize("first", [0, 10, 20])
+@pytest.mark.parametrize("first", [0, *slow(10, 20)])
 def test_hover_command_and_full_thrust_are_inside(first):
     """Per kg, since the flights' vehicle is not known; at 4 V."""
     numbers = found_of([logged_flight(seed) for seed in range(first, first + 3)]).report["numbers"]
@@ -43,9 +44,7 @@ def test_hover_command_and_full_thrust_are_inside(first):
     assert any("thrusts are per kg" in line for line in number_lines(numbers, []))
 
 
-@pytest.mark.parametrize(
-    "exponent", [pytest.param(0.7, marks=pytest.mark.slow), pytest.param(1.0, marks=pytest.mark.slow), 1.3]
-)
+@pytest.mark.parametrize("exponent", [1.3, *slow(0.7, 1.0)])
 def test_the_battery(exponent):
     flights = [logged_flight(seed, exponent=exponent, seconds=60) for seed in range(3)]
     numbers = found_of(flights, voltage_exponent=None).report["numbers"]
@@ -107,7 +106,7 @@ def test_one_flight_says_that_the_next_is_not_known():
 QUADRATIC = {"none": (0.0, 0.0, 0.0), "some": (0.10, 0.08, 0.06), "more": (0.2, 0.2, 0.1)}
 
 
-@pytest.mark.parametrize("truth", QUADRATIC)
+@pytest.mark.parametrize("truth", ["none", "some", *slow("more")])
 def test_identify_and_fit_take_the_same_drag(truth):
     vehicle = crazyflie()
     flights = [logged_flight(seed, quadratic=QUADRATIC[truth]) for seed in range(4)]

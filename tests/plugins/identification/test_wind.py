@@ -30,6 +30,7 @@ from quadexp.plugins.papers.lei_li.blade_element import identify_flight
 from tests.models.test_dataset import VEHICLE
 from tests.plugins.identification.test_recorded import VEHICLE as RECORDED_VEHICLE
 from tests.plugins.identification.test_recorded import recorded_flight
+from tests.slow import slow
 
 WIND = np.array([5.0, -3.0, 1.0])  # m/s, world
 
@@ -126,8 +127,8 @@ def test_recorded_flights_are_scored_alike():
     "wind",
     [
         ["wind=constant", "wind.velocity=[4,-3,1]"],
-        ["wind=gust", "wind.velocity=[1,2,0]", "wind.amplitude=[6,-2,1]"],
         ["wind=dryden", "wind.velocity=[3,3,0]", "wind.intensity=[1,1,0.6]"],
+        *slow(["wind=gust", "wind.velocity=[1,2,0]", "wind.amplitude=[6,-2,1]"]),
     ],
     ids=lambda wind: wind[0],
 )

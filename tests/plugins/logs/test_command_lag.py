@@ -8,6 +8,7 @@ from quadexp.plugins.identification.thrust_curve import CurveSettings, fit_thrus
 from quadexp.plugins.logs.command_lag import find_lag, lagged
 from quadexp.plugins.logs.samples import gather, gather_to_fit
 from tests.models.late_flights import C, late_flight
+from tests.slow import slow
 
 SQUARED = CurveSettings(powers=(2,))
 
@@ -20,8 +21,12 @@ def test_lag_is_the_step_response():
     assert lagged(step, 0.01, 0.0, 0.0) == pytest.approx(step)
 
 
-@pytest.mark.parametrize(("dead_time", "lag"), [(0.01, 0.03), (0.0, 0.04), (0.02, 0.0), (0.03, 0.06)])
-@pytest.mark.parametrize("seed", [0, 1])
+TIMES = ((0.01, 0.03), (0.0, 0.04), (0.02, 0.0), (0.03, 0.06))  # s
+CASES = [(dead_time, lag, seed) for dead_time, lag in TIMES for seed in (0, 1)]
+FEW = [(0.0, 0.04, 0), (0.02, 0.0, 1), (0.03, 0.06, 0)]  # a lag alone, a dead time alone, and both at their largest
+
+
+@pytest.mark.parametrize(("dead_time", "lag", "seed"), [*FEW, *slow(*(case for case in CASES if case not in FEW))])
 def test_late_commands_bias_no_drag(dead_time, lag, seed):
     flight = late_flight(dead_time, lag, seed=seed)
     samples = gather([flight], "motor_command")

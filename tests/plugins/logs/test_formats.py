@@ -52,7 +52,10 @@ CALLS = {  # of each command: a call that answers with a table
 }  # fmt: skip
 
 # Checked in two forms: what prints is the same for all.
-LONG = ("replay-test", "export-controller", "fit-gp", "fit-nn", "report", "validate", "tune", "animate")
+LONG = (
+    "replay-test", "export-controller", "fit", "fit-gp", "fit-nn", "identify", "collect", "report", "plot", "archive",
+    "validate", "tune", "animate",
+)  # fmt: skip
 HEADS = {"evaluate": 1}  # rows of a heading, which CSV has not
 
 

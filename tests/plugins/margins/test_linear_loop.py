@@ -148,6 +148,13 @@ def test_the_bare_mpc_has_the_margins_that_another_program_found(settings, delay
     assert 1e3 * known["delay"] == pytest.approx(delay, rel=2e-3) and 1e3 * known["lag"] == pytest.approx(lag, rel=2e-3)
 
 
+def test_the_loop_of_auto_is_the_one_that_it_flies_once_the_delays_are_found():
+    """With the sums from which they are found a law had 2,297 states, more than are linearised."""
+    loop = flown("controller=geometric", "remedies=auto", "plant=ideal")
+    ((A, *_), *_) = hover_loop(loop.controller, loop.plant).phases
+    assert len(A) == 12
+
+
 NOISELESS = "estimator.position_noise=0 estimator.velocity_noise=0 estimator.attitude_noise=0 estimator.rate_noise=0"
 # Controller x compensation x vehicle x world x rate. Motors lag as much up as down: otherwise nothing is linear at
 # rest.

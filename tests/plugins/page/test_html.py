@@ -107,7 +107,7 @@ def test_the_answer_comes_from_the_numbers(sure, tmp_path):
         "Completed flights: perfect_mpc, gp_mpc and nominal_mpc 40 of 40, linear_drag_mpc 39 of 40."
     )
     over = "the 36 to 40 flights that it and each other completed"  # linear_drag_mpc lost one, which leaves out a seed
-    assert f"Least over {over}, bounds aside: gp_mpc, the best of 3" in first
+    assert f"Least over {over}, oracles aside: gp_mpc, the best of 3" in first
     assert typeset(f"Knowing the aerodynamics: {pooled.text()}.") in first, "the sentence below the tables, with its p"
     assert re.search(r"The error of gp_mpc is 1\.33 times \[.*\] that of perfect_mpc\.$", first)
     assert second.startswith("It runs in real time") and "50.0\u202fµs" in second and "20\u202fms" in second

@@ -74,7 +74,7 @@ def families_table(rows):
 
 
 def test_the_families():
-    """Means over all flights; a lost flight is counted instead of a mean; bounds are not ranked."""
+    """Means over all flights; a lost flight is counted instead of a mean; oracles are not ranked."""
     rows = [
         *flights("perfect_mpc", 8.0, [0.001] * 12),
         *flights("gp_mpc", 8.0, [0.006, 0.0045, 0.0075] * 4),

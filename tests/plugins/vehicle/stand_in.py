@@ -1,6 +1,7 @@
-"""A stand-in for PX4 on loopback, in lockstep: the bench's plant under a rate loop at 1 kHz, which speaks MAVLink.
+"""A stand-in for PX4 on loopback: the bench's plant under a rate loop at 1 kHz, which speaks MAVLink.
 
-Its clock stands until each state is answered. alpha = K (w* - w), tau = J alpha + w x J w.
+In lockstep its clock stands until each state is answered; paced, it is the real one, and a command acts when it comes.
+alpha = K (w* - w), tau = J alpha + w x J w.
 """
 
 from __future__ import annotations
@@ -24,19 +25,19 @@ PATIENCE = 60.0  # s, of a test
 
 class StandIn(threading.Thread):
     """loop: vehicle, plant and reference. whole: whether it has ODOMETRY. reset_at, silent_at: instants at which its
-    estimate is reset, and at which it falls silent. heading: of its north (rad)."""
+    estimate is reset, and at which it falls silent. paced: whether its clock is the real one."""
 
     def __init__(self, loop: ControlLoop, port: int, messages: Any, **faults: Any) -> None:
         super().__init__(daemon=True)
         self.loop, self.kinds = loop, messages
         self.autopilot = faults.get("autopilot", messages.MAV_AUTOPILOT_PX4)
         self.whole, self.reset_at = faults.get("whole", True), faults.get("reset_at", -1)
+        self.paced = faults.get("paced", False)
         self.silent_at, self.arms = faults.get("silent_at", -1), faults.get("arms", False)
         self.errors, self.refused_early = list[float](), None
         self._mav = messages.MAVLink(None, srcSystem=1, srcComponent=1)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
-        self._socket.settimeout(0.02)
         self._peer = ("127.0.0.1", port)
         self._armed = self._offboard = self._answered = False
         self._targets = self._asked = 0
@@ -45,19 +46,21 @@ class StandIn(threading.Thread):
     def _send(self, message: Any) -> None:
         self._socket.sendto(message.pack(self._mav), self._peer)
 
-    def _listen(self) -> None:
-        """The messages of one datagram."""
+    def _listen(self, patience: float = 0.02) -> None:
+        """The messages of one datagram, if one comes within so long (s)."""
         kinds = self.kinds
+        self._socket.settimeout(patience)
         try:
             data = self._socket.recv(2048)
-        except (TimeoutError, ConnectionRefusedError):
+        except (TimeoutError, BlockingIOError, ConnectionRefusedError):
             return
         for message in self._mav.parse_buffer(data) or []:
             kind = message.get_type()
             if kind == "SET_ATTITUDE_TARGET":
                 assert message.type_mask == 128
                 self._targets += 1
-                if self._armed and message.time_boot_ms != self._asked:
+                oldest = 5000 if self.paced else self._asked
+                if self._armed and message.time_boot_ms < oldest:
                     continue  # of before the flight
                 rates = [message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate]
                 self._rates, self._thrust = FLIPPED * np.array(rates), message.thrust
@@ -106,6 +109,11 @@ class StandIn(threading.Thread):
         self._send(kinds.MAVLink_attitude_quaternion_message(stamp, *q, *rates))
         self._send(kinds.MAVLink_local_position_ned_message(stamp, *place, *swapped(x[VELOCITY])))
 
+    def _wait(self, until: float) -> None:
+        """Listen till this time."""
+        while (left := until - time.monotonic()) > 0:
+            self._listen(left)
+
     def run(self) -> None:
         loop, vehicle, plant = self.loop, self.loop.vehicle, self.loop.plant
         until, beat = time.monotonic() + PATIENCE, 0.0
@@ -117,20 +125,25 @@ class StandIn(threading.Thread):
         self._beat()
         J, mixer = vehicle.inertia_matrix, np.linalg.pinv(vehicle.allocation)
         x = loop.start.copy()
-        noise = plant.begin(x, STEP, float(loop.times[-1]) + 1, np.random.default_rng(0))
-        steps = round(loop.period / STEP)
-        for k in range(len(loop.times)):
+        duration = float(loop.times[-1]) + 1
+        plant.advance(x, np.zeros(4), STEP, plant.begin(x, STEP, duration, np.random.default_rng(0)))  # is compiled
+        noise = plant.begin(x, STEP, duration, np.random.default_rng(0))
+        steps, began = round(loop.period / STEP), time.monotonic()
+        for k in range(len(loop.times) + self.paced * round(1 / loop.period)):  # paced: the bridge begins later
             if k == self.silent_at:
                 return
-            self.errors.append(float(np.linalg.norm(x[POSITION] - loop.reference_state(k * loop.period)[POSITION])))
+            reference = loop.reference_state(min(k, len(loop.times) - 1) * loop.period)
+            self.errors.append(float(np.linalg.norm(x[POSITION] - reference[POSITION])))
             self._answered = False
             self._tell(x, k * loop.period, int(k >= self.reset_at >= 0))
-            while not self._answered:
+            while not (self._answered or self.paced):
                 if time.monotonic() > until:
                     return
                 self._listen()
-            force = self._thrust * vehicle.n_rotors * vehicle.thrust_max
-            for _ in range(steps):
+            for step in range(steps):
+                if self.paced:
+                    self._wait(began + k * loop.period + step * STEP)
+                force = self._thrust * vehicle.n_rotors * vehicle.thrust_max
                 rate = x[RATE]
                 torque = J @ (GAIN * (self._rates - rate)) + np.cross(rate, J @ rate)
                 thrusts = np.clip(mixer @ [force, *torque], vehicle.thrust_min, vehicle.thrust_max)

@@ -16,15 +16,20 @@ import numpy as np
 import pytest
 
 from quadexp import requests
-from quadexp.compile.compiler import compiler
+from quadexp.compile.compiler import compiler, run_compiler
+from quadexp.control.base import Measurement
+from quadexp.control.wrapped import innermost
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.evaluate import InfeasibleError, build_loop
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight
+from quadexp.loop import controller
 from quadexp.parts.compose import compose
-from quadexp.plugins.vehicle.betaflight.firmware import channels_packet, firmware_file, state_packet
-from quadexp.plugins.vehicle.betaflight.flight import Radio, Through, fly_betaflight, pulses, rotor_order
+from quadexp.physics.state import RATE
+from quadexp.plugins.vehicle.betaflight.firmware import Firmware, channels_packet, firmware_file, state_packet
+from quadexp.plugins.vehicle.betaflight.flight import SETTINGS, Radio, Through, fly_betaflight, pulses, rotor_order
 from quadexp.plugins.vehicle.export import export_controller
+from quadexp.plugins.vehicle.rates import predicted_rates
 
 PRECISE = ("controller=perfect_mpc", "horizon=precise", "trajectory=circle", "trajectory.speed=4")
 LATE = ("link=latency", "link.latency=0.02")
@@ -104,6 +109,18 @@ def test_pulses_are_rates_and_thrust() -> None:
     assert sorted(coarse) == [1000, 1125, 1250, 1375, 1500, 1625, 1750, 1875, 2000]
 
 
+@pytest.mark.parametrize("horizon", ["published", "precise"])
+def test_predicted_rates_are_those_of_their_time(horizon: str) -> None:
+    loop = controller("controller=perfect_mpc", f"horizon={horizon}", "trajectory=circle", "trajectory.speed=4")
+    loop.reset()
+    thrusts = loop.step(Measurement(0.0, loop.start, None, None))
+    mpc = innermost(loop.controller).mpc
+    period = mpc.settings.node_periods[0]
+    for ahead, expected in ((0.0, mpc.prediction[0][0]), (period, mpc.prediction[0][1])):
+        rates = predicted_rates(loop.controller, ahead)(loop.start, thrusts)
+        assert np.allclose(rates, expected[RATE], rtol=0, atol=1e-12)
+
+
 def test_rotors_are_found_by_where_they_sit() -> None:
     vehicles = {name: compose([f"vehicle={name}"]).vehicle for name in ("torrente", "hummingbird", "crazyflie")}
     assert rotor_order(vehicles["torrente"]) == ([0, 3, 1, 2], ["set yaw_motors_reversed = OFF"])
@@ -132,6 +149,8 @@ def test_a_radio_that_is_slower_than_the_loop_tolerates_is_refused(tmp_path: Pat
 def test_a_law_without_a_prediction_is_refused() -> None:
     with pytest.raises(UsageError, match="predicts no body rates"):
         fly_betaflight(("controller=geometric", *PRECISE[2:]), None, Radio(), Path("/bin/true"))
+    with pytest.raises(UsageError, match="--rates inverse=1"):
+        fly_betaflight(("controller=geometric", *PRECISE[2:]), None, Radio(rates="inverse=1"), Path("/bin/true"))
 
 
 def test_who_has_no_firmware_is_told_how_to_build_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -147,6 +166,38 @@ def test_another_program_is_no_firmware() -> None:
         pytest.skip("no C compiler")
     with pytest.raises(QuadexpError, match="firmware does not answer"):
         fly_betaflight(PRECISE, None, Radio(), Path("/bin/true"))
+
+
+# ------------------------------------------------------------------------------------------------------------- settings
+HELD_UP = r"""
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <netdb.h>
+#include <poll.h>
+int getaddrinfo(const char *node, const char *port, const struct addrinfo *hints, struct addrinfo **found) {
+    int (*original)(const char *, const char *, const struct addrinfo *, struct addrinfo **);
+    original = dlsym(RTLD_NEXT, "getaddrinfo");
+    poll(0, 0, 50);
+    return original(node, port, hints, found);
+}
+"""
+
+
+def test_settings_are_taken_where_the_machine_holds_the_firmware_up(firmware: Path, tmp_path: Path) -> None:
+    """Its main thread waits 50 ms between making its port and listening there, as on a busy machine: meanwhile its
+    thread of the ports used to throw the port away."""
+    source, library, program = tmp_path / "held_up.c", tmp_path / "held_up.so", tmp_path / "held_up"
+    source.write_text(HELD_UP)
+    run_compiler(["-fPIC", "-shared", str(source), "-o", str(library), "-ldl"], "compile held_up.c")
+    program.write_text(f'#!/bin/sh\nexport LD_PRELOAD="$LD_PRELOAD:{library}"\nexec "{firmware}"\n')
+    program.chmod(0o755)
+    with Firmware(program, tmp_path) as process:
+        assert process.settings(SETTINGS).startswith("Betaflight / SITL")
+
+
+def test_a_setting_that_the_firmware_does_not_know_is_an_error(firmware: Path, tmp_path: Path) -> None:
+    with Firmware(firmware, tmp_path) as process, pytest.raises(QuadexpError, match="refuses its settings"):
+        process.settings(["set no_such_setting = 1"])
 
 
 # -------------------------------------------------------------------------------------------------------------- flights
@@ -166,18 +217,29 @@ def test_the_published_grid_within_three_millimetres(firmware: Path) -> None:
 
 
 def test_a_late_radio_is_flown_where_it_is_known(firmware: Path) -> None:
-    with pytest.raises(InfeasibleError, match=r"controller.dead_time=0.02"):
+    with pytest.raises(InfeasibleError, match=r"timing.dead_time=0.02"):
         flown(*PRECISE, *LATE)
-    flight = flown(*PRECISE, *LATE, "controller.dead_time=0.02")
+    flight = flown(*PRECISE, *LATE, "timing.dead_time=0.02")
     assert error(flight) < 5
     assert 0 < flight.metadata["margins"]["delay"] < 0.05
 
 
-def test_a_coarse_and_a_slow_radio_cost_something(firmware: Path) -> None:
+@pytest.mark.parametrize("grid", [("horizon=precise",), ()])
+def test_a_late_radio_that_is_not_given_is_found(firmware: Path, grid: tuple[str, ...]) -> None:
+    assert error(flown(PRECISE[0], *grid, *PRECISE[2:], *LATE, "remedies=auto")) < 5
+
+
+def test_a_law_flies_by_the_rates_that_give_its_torque(firmware: Path) -> None:
+    law = ("controller=dfbc", "controller.rate=250", *PRECISE[2:])
+    bench = error(requests.simulate(law).flight)
+    assert error(flown(*law, rates="inverse=25,25,10")) == pytest.approx(bench, rel=0.1)
+
+
+def test_a_coarse_and_a_slow_radio_are_flown(firmware: Path) -> None:
     best, coarse = error(flown(*PRECISE)), error(flown(*PRECISE, steps=128))
     assert best < coarse < 3
     slow = flown(*PRECISE, rate=25.0)
-    assert best < error(slow)
+    assert error(slow) < 1
     plain = requests.simulate(PRECISE).flight.metadata["margins"]["delay"]
     assert slow.metadata["margins"]["delay"] == pytest.approx(plain - 0.01)  # a pulse is held 20 ms longer
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import json
+import shutil
 import subprocess
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ import numpy as np
 import pytest
 
 from quadexp import requests
+from quadexp.compile.compiler import run_compiler
 from quadexp.control.base import Measurement, Window
 from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.experiment.build import build_vehicle
@@ -46,13 +49,36 @@ class Exports(dict[str, Path]):
         return self[name]
 
 
+class Once:
+    """The compiler, called once for the same arguments: each controller of a folder has a copy of what it made."""
+
+    def __init__(self, place: Path) -> None:
+        self._place, self._kept = place, {}
+
+    def __call__(self, arguments: list[str], purpose: str, scratch: str) -> str:
+        at = arguments.index("-o") + 1
+        key = (*arguments[:at], *arguments[at + 1 :])
+        if key not in self._kept:
+            self._kept[key] = self._place / f"{len(self._kept)}.so"
+            run_compiler([*arguments[:at], str(self._kept[key]), *arguments[at + 1 :]], purpose, scratch)
+        shutil.copyfile(self._kept[key], arguments[at])
+        return ""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as changed:
+        changed.setattr("quadexp.plugins.vehicle.exported.run_compiler", Once(tmp_path_factory.mktemp("compiled")))
+        yield
+
+
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return Exports(tmp_path_factory.mktemp("exports"))
 
 
 def run(folder: Path, target: str = "test", **variables: str) -> subprocess.CompletedProcess[str]:
-    given = [f"{name}={value}" for name, value in {"CFLAGS": "-O1", **variables}.items()]
+    given = [f"{name}={value}" for name, value in {"CFLAGS": "-O0", **variables}.items()]
     return subprocess.run(["make", "-C", str(folder), target, *given], capture_output=True, text=True, check=False)
 
 
@@ -331,6 +357,12 @@ def test_what_is_python_only_is_named(tmp_path: Path, settings: tuple[str, ...],
     with pytest.raises(UsageError, match=said):
         export_controller(settings, tmp_path / "c")
     assert not (tmp_path / "c").exists()
+
+
+def test_sums_over_a_flight_in_single_precision_are_refused(tmp_path: Path) -> None:
+    """Its code did not compile; once it did the closed loop was 31 m off."""
+    with pytest.raises(UsageError, match="--real float: .* need --real double"):
+        export_controller(AUTO["auto"], tmp_path / "c", real="float")
 
 
 def test_mistakes(tmp_path: Path) -> None:

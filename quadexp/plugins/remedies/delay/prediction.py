@@ -76,12 +76,8 @@ class Prediction(KnownDelay):
     """A late state is brought to now by the controller's model: that of the MPC inside; without one, the rigid body
     alone."""
 
-    dead_time: float | None = key(
-        None, "dead time of commands; null: what the controller knows itself", "[0, 0.5]", "s"
-    )
-    motor_lag: float | None = key(
-        None, "time constant of the rotors; null: what the controller knows itself", "[0, 0.5]", "s"
-    )
+    dead_time: float | None = key(None, "dead time of commands; null: that of the controller", "[0, 0.5]", "s")
+    motor_lag: float | None = key(None, "time constant of the rotors; null: that of the controller", "[0, 0.5]", "s")
 
     def remembers(self, inputs: Inputs) -> dict[str, int]:
         """See LayerPart: the last commands, the oldest first, and the newest; what an observer inside given last,

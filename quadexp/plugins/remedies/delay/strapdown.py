@@ -35,7 +35,7 @@ class KnownDelay(LayerPart):
 
     prefix = "delay."
 
-    time: float = key(0.01, "age of the measured state that is made good", "[0, 0.5]", "s")
+    time: float = key(0.01, "age of the measured state that is compensated", "[0, 0.5]", "s")
 
 
 @keyed

@@ -111,7 +111,7 @@ class DisturbanceObserver(ObserverPart):
     """Force and torque beyond the model."""
 
     source: Literal["accelerometer", "velocity"] = key(
-        "accelerometer", "what the force is found from: the accelerometer, or the velocity where there is none"
+        "accelerometer", "source of the force: the accelerometer, or the velocity if there is none"
     )
     force_bandwidth: float = key(25.0, "bandwidth of the estimated force", "(0, 1000]", "rad/s", tuned="1..100:log")
     force_noise: float = key(
@@ -130,7 +130,7 @@ class DisturbanceObserver(ObserverPart):
     )
     force_limit: float = key(15.0, "largest estimated force over the mass", "(0, 1000]", "m/s^2")
     scale_walk: float = key(
-        0.0, "what the thrust scale's standard deviation gains in a second; 0: not estimated", "[0, 1]"
+        0.0, "random walk of the thrust scale: its standard deviation after a second; 0: not estimated", "[0, 1]"
     )
     scale_initial: float = key(
         0.3, "standard deviation of the thrust scale when a flight begins", "[0, 1]", when="scale_walk"

@@ -124,20 +124,20 @@ class WindObserver(ObserverPart):
         25.0, "bandwidth of the force that the wind leaves unexplained; 0: none", "[0, 1000]", "rad/s"
     )
     wind_walk: float = key(
-        1.5, "what the wind's standard deviation gains in a second", "[0, 100]", "m/s", tuned="0.1..20:log"
+        1.5, "random walk of the wind: its standard deviation after a second", "[0, 100]", "m/s", tuned="0.1..20:log"
     )
     wind_initial: float = key(
         4.0, "standard deviation of the wind when a flight begins, and the largest later", "(0, 100]", "m/s"
     )
     wind_limit: float = key(25.0, "largest estimated wind", "(0, 100]", "m/s")
     scale_walk: float = key(
-        0.005, "what the thrust scale's standard deviation gains in a second; 0: not estimated", "[0, 1]"
+        0.005, "random walk of the thrust scale: its standard deviation after a second; 0: not estimated", "[0, 1]"
     )
     scale_initial: float = key(
         0.05, "standard deviation of the thrust scale when a flight begins", "[0, 1]", when="scale_walk"
     )
     least_bandwidth: float = key(
-        1.0, "of the wind estimate; where drag gives less the controller is refused", "[0, 1000]", "rad/s"
+        1.0, "of the wind estimate; a controller whose drag gives less is refused", "[0, 1000]", "rad/s"
     )
 
     def around(self, controller: Any) -> Any:

@@ -29,9 +29,8 @@ from quadexp.errors import QuadexpError, UsageError
 HERE, HOST = Path(__file__).parent, "127.0.0.1"
 MOTORS, STATE, CHANNELS, SETTINGS = 9002, 9003, 9004, 5761  # ports, fixed in the firmware
 TICK = 1e-3  # s, between two states: the slowest at which its gyroscope is not starved
-PATIENCE = 10.0  # s of the real clock, for an answer of the process
-BOOT = 2000  # ticks, before which the firmware forgets who has connected
-AGAIN = 1.0  # s, after which the command line is opened again
+PATIENCE = 60.0  # s of the real clock, for an answer of the process, on a busy machine
+STAND = 10  # ticks, for which its command line is given time
 SEA_LEVEL = 101325.0  # Pa
 ENVIRONMENT = "QUADEXP_BETAFLIGHT"
 BUILD = (
@@ -117,7 +116,7 @@ class Firmware:
             answer = ""
         if answer != what:
             last = (self._log.read_text(errors="replace").strip().splitlines() or ["nothing"])[-1]
-            raise QuadexpError(f"the firmware does not answer; the last that it said: {last[:160]}")
+            raise QuadexpError(f"the firmware does not answer; its last line: {last[:160]}")
 
     def _tell(self, port: int, packet: bytes) -> None:
         self._socket.sendto(packet, (HOST, port))
@@ -145,45 +144,44 @@ class Firmware:
 
     def settings(self, lines: Sequence[str]) -> str:
         """Give lines to its command line, save, and end. Returns its version."""
-        answer = ""
-        with self._connected() as line:
-            for text in ("#", "\n", "version\n", *(f"{text}\n" for text in lines)):
-                answer += self._answer(line, text)
-            line.sendall(b"save\n")
+        with self._connected() as connection:
+            answers = [self._answer(connection, text) for text in ("#", "version\n", *(f"{line}\n" for line in lines))]
+            connection.sendall(b"save\n")
             with contextlib.suppress(QuadexpError):
                 while True:  # till it ends
                     self.stand(1)
-        refused = [row for row in answer.splitlines() if "###ERROR" in row]
-        version = re.search(r"Betaflight / .*", answer)
-        if refused or version is None:
-            raise QuadexpError(f"the firmware refuses its settings: {(refused or [answer[-160:]])[0].strip()}")
+        rows = "".join(answers).splitlines()
+        refused = [row for row in rows if "###ERROR" in row]
+        if refused:
+            raise QuadexpError(f"the firmware refuses its settings: {refused[0].strip()}")
+        version = re.search(r"Betaflight / .*", answers[1])
+        if version is None:
+            raise QuadexpError(f"the firmware does not say its version: {answers[1][-160:]!r}")
         return version[0].strip()
 
     def _connected(self) -> socket.socket:
         """To its command line, once it listens there."""
-        self.stand(BOOT)
         until = time.monotonic() + PATIENCE
         while True:
-            self.stand(100)
+            self.stand(STAND)
             try:
                 return socket.create_connection((HOST, SETTINGS), PATIENCE)
             except OSError:
                 if time.monotonic() > until:
                     raise QuadexpError(f"the firmware does not listen on port {SETTINGS}") from None
 
-    def _answer(self, line: socket.socket, text: str) -> str:
-        """What it says to a text until it asks for the next one; that takes time of both clocks. The first, which opens
-        the command line, is lost where nobody reads yet: it is sent again."""
-        answer, until, again = "", time.monotonic() + 3 * PATIENCE, 0.0
-        line.settimeout(1e-3)
+    def _answer(self, connection: socket.socket, text: str) -> str:
+        """What it says to a text until it asks for the next one: it reads while its own clock goes on, and a thread of
+        the real clock hands over. A line without a character is not answered."""
+        answer, until = "", time.monotonic() + PATIENCE
+        connection.sendall(text.encode())
+        connection.settimeout(1e-3)
         while not answer.endswith("\n# "):
-            now = time.monotonic()
-            if now > until:
-                raise QuadexpError(f"the firmware's command line does not answer: {answer[-160:]!r}")
-            if not again or (text == "#" and not answer and now > again):
-                line.sendall(text.encode())
-                again = now + AGAIN
-            self.stand(10)
+            if time.monotonic() > until:
+                raise QuadexpError(
+                    f"the firmware's command line does not answer to {text.strip()!r}: {answer[-160:]!r}"
+                )
+            self.stand(STAND)
             with contextlib.suppress(TimeoutError):
-                answer += line.recv(65536).decode(errors="replace")
+                answer += connection.recv(65536).decode(errors="replace")
         return answer

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from quadexp.parts.options import Folders
 from quadexp.physics.state import ATTITUDE, RATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.vehicle.betaflight.firmware import TICK, Firmware, channels_packet, firmware_file, state_packet
-from quadexp.plugins.vehicle.rates import Rates, predicted_rates
+from quadexp.plugins.vehicle.rates import Rates, rates_of
 from quadexp.world.link import Latency
 from quadexp.world.streams import Streams, part_stream
 from quadexp.world.world import World
@@ -52,12 +52,13 @@ SPINS = (-1, -1, 1, 1)  # their reaction torques in its own order of propellers
 
 @dataclass(frozen=True)
 class Radio:
-    """rate: pulses are sent (Hz), with every command where it is 0. steps: of a stick's throw. ahead: for which rates
-    are sent (s)."""
+    """rate: pulses are sent (Hz), with every command where it is 0. steps: of a stick's throw. ahead: of predicted
+    rates (s). rates: see rates.py."""
 
     rate: float = 0.0
     steps: int = 1000
-    ahead: float = 0.03
+    ahead: float = 0.04
+    rates: str = "predicted"
 
     def __post_init__(self) -> None:
         every = 1 / (self.rate * TICK) if self.rate else 1.0
@@ -101,7 +102,7 @@ def fly_betaflight(overrides: Sequence[str], conf: Folders, radio: Radio, firmwa
         finally:
             through.end()
     flight.metadata["autopilot"] = through.version
-    flight.metadata["radio"] = {"rate": radio.rate, "steps": radio.steps, "ahead": radio.ahead}
+    flight.metadata["radio"] = asdict(radio)
     return flight
 
 
@@ -127,7 +128,7 @@ class Through:
                     f"--rc-rate {self.radio.rate:g}: pulses act {1e3 * held:.0f} ms later than commands; the loop"
                     f" tolerates {1e3 * loop.margins['delay']:.0f} ms"
                 )
-        rates = predicted_rates(loop.controller, self.radio.ahead)
+        rates = rates_of(self.radio.rates, loop.controller, self.radio.ahead)
         order, turning = rotor_order(loop.vehicle)
         with Firmware(self.program, self.folder) as firmware:
             self.version = firmware.settings([*SETTINGS, *turning])

@@ -2,7 +2,10 @@
 
    CLOCK_MONOTONIC is virtual. The main thread's nanosleep moves it; where what was granted is used up, it says so with
    one byte on the socket LOCKSTEP, and waits for the next end of time (8 bytes, ns). The threads that receive packets
-   say with one byte each that a packet has been taken in: before they look for the next one. */
+   say with one byte each that a packet has been taken in: before they look for the next one.
+
+   One thread runs at a time, and gives its turn away where it waits: the firmware's library for TCP is not safe for
+   threads, and on a busy machine it loses its port, or answers, where the main thread interrupts it. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <pthread.h>
@@ -19,15 +22,49 @@ static volatile int64_t now, granted; /* ns */
 static int simulator = -1;
 static pthread_t main_thread;
 static __thread int taken;
+static pthread_mutex_t turn = PTHREAD_MUTEX_INITIALIZER;
 
 __attribute__((constructor)) static void begin(void) {
     const char *descriptor = getenv("LOCKSTEP");
     main_thread = pthread_self();
     if (descriptor) simulator = atoi(descriptor);
+    pthread_mutex_lock(&turn);
 }
 
 static void say(char what) {
     if (write(simulator, &what, 1) != 1) _exit(0); /* the simulator has ended */
+}
+
+typedef struct {
+    void *(*routine)(void *);
+    void *argument;
+} task;
+
+static void *in_turn(void *given) {
+    const task work = *(task *)given;
+    free(given);
+    pthread_mutex_lock(&turn);
+    void *result = work.routine(work.argument);
+    pthread_mutex_unlock(&turn);
+    return result;
+}
+
+int pthread_create(pthread_t *thread, const pthread_attr_t *attributes, void *(*routine)(void *), void *argument) {
+    static int (*original)(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *);
+    if (!original) original = dlsym(RTLD_NEXT, "pthread_create");
+    task *work = malloc(sizeof *work);
+    if (!work) abort();
+    *work = (task){routine, argument};
+    return original(thread, attributes, in_turn, work);
+}
+
+int pthread_join(pthread_t thread, void **result) {
+    static int (*original)(pthread_t, void **);
+    if (!original) original = dlsym(RTLD_NEXT, "pthread_join");
+    pthread_mutex_unlock(&turn);
+    const int status = original(thread, result);
+    pthread_mutex_lock(&turn);
+    return status;
 }
 
 ssize_t recvfrom(int file, void *data, size_t size, int flags, struct sockaddr *from, socklen_t *length) {
@@ -43,7 +80,10 @@ int select(int count, fd_set *read_set, fd_set *write_set, fd_set *error_set, st
     if (!original) original = dlsym(RTLD_NEXT, "select");
     if (taken && simulator >= 0) say('p');
     taken = 0;
-    return original(count, read_set, write_set, error_set, patience);
+    pthread_mutex_unlock(&turn);
+    const int ready = original(count, read_set, write_set, error_set, patience);
+    pthread_mutex_lock(&turn);
+    return ready;
 }
 
 int clock_gettime(clockid_t which, struct timespec *time) {
@@ -66,8 +106,10 @@ int nanosleep(const struct timespec *asked, struct timespec *left) {
         rest -= part;
         if (now < granted) continue;
         int64_t end;
+        pthread_mutex_unlock(&turn);
         say('t');
         if (recv(simulator, &end, sizeof end, MSG_WAITALL) != sizeof end) _exit(0);
+        pthread_mutex_lock(&turn);
         granted = end;
     }
     return 0;

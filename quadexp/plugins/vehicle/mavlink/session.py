@@ -113,7 +113,7 @@ class Session:
         until = time.monotonic() + ARMING
         while not (self._armed and self._offboard):
             if time.monotonic() > until:
-                raise QuadexpError(f"nobody armed within {ARMING:g} s (--arm arms)")
+                raise QuadexpError(f"the vehicle was not armed within {ARMING:g} s (--arm arms it)")
             self._stream(0.1)
 
     def _stream(self, duration: float) -> None:
