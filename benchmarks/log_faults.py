@@ -28,7 +28,6 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.messages import yaml
 from quadexp.plugins.identification.vehicle_model import FitSettings, fit_vehicle_model
-from quadexp.plugins.logs.command_lag import find_lag
 from quadexp.plugins.logs.import_flights import Outcome, import_files
 from quadexp.plugins.logs.importers import Options
 from quadexp.plugins.logs.samples import gather, gather_to_fit
@@ -238,8 +237,7 @@ def identified(flight: Flight) -> dict[str, Any]:
     samples = gather_to_fit([flight], None, ["log"])
     model = fit_vehicle_model([flight], None, FitSettings(), names=["log"], samples=samples, best="linear")
     found: dict[str, Any] = {"terms": model.models["linear"].records()}
-    raw = gather([flight], "motor_command", ["log"])
-    late = find_lag(raw.time, raw.segment, raw.signal, raw.force[:, 2], raw.velocity, raw.held)
+    late = gather([flight], "motor_command", ["log"]).command_lag()
     if late is not None:
         found["delay"] = late.dead_time + late.lag
         found["delay_interval"] = late.intervals[2].tolist()
@@ -297,8 +295,8 @@ def main() -> None:
     parser.add_argument("--sound", type=Path, help="folder of public flights that must not be blocked")
     parser.add_argument("--out", type=Path, default=Path("log_faults.jsonl"))
     asked = parser.parse_args()
-    if asked.all_valid_or_raise is not None and not any(asked.all_valid_or_raise.glob("*.csv")):
-        parser.error(f"--sound {asked.all_valid_or_raise}: has no CSV files")
+    if asked.sound is not None and not any(asked.sound.glob("*.csv")):
+        parser.error(f"--sound {asked.sound}: has no CSV files")
     done = [json.loads(line) for line in asked.out.read_text().splitlines()] if asked.out.exists() else []
     known = {record["seed"] for record in done}
     for seed in range(asked.seed, asked.seed + asked.repetitions):
@@ -310,8 +308,8 @@ def main() -> None:
             file.write(json.dumps(record, default=float) + "\n")
         print(report([record])[0], flush=True)
     lines = report(done)
-    if asked.all_valid_or_raise is not None:
-        lines += sound(asked.all_valid_or_raise)
+    if asked.sound is not None:
+        lines += sound(asked.sound)
     sys.stdout.write("\n".join(lines) + "\n")
 
 

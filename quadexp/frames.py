@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from quadexp.report.table import Table
 
 SHOWN_ROWS = 6  # of a table in a notebook
-SHOWN_COLUMNS = 12
+SHOWN_COLUMNS = 12  # of it: as wide as a page
 
 
 class Frame(pd.DataFrame):

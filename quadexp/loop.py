@@ -31,17 +31,17 @@ from quadexp.parts.options import Folders
 from quadexp.physics.state import RATE
 from quadexp.reference.base import Trajectory
 
-Given = ParamSpec("Given")
+Parameters = ParamSpec("Parameters")
 Result = TypeVar("Result")
 
 
 def by_one_thread(
-    method: Callable[Concatenate[ControlLoop, Given], Result],
-) -> Callable[Concatenate[ControlLoop, Given], Result]:
+    method: Callable[Concatenate[ControlLoop, Parameters], Result],
+) -> Callable[Concatenate[ControlLoop, Parameters], Result]:
     """Two threads in the same arrays at once would corrupt them: the second one is refused."""
 
     @functools.wraps(method)
-    def guarded(loop: ControlLoop, /, *args: Given.args, **keywords: Given.kwargs) -> Result:
+    def guarded(loop: ControlLoop, /, *args: Parameters.args, **keywords: Parameters.kwargs) -> Result:
         if not loop.busy.acquire(blocking=False):
             raise UsageError(f"{method.__name__}: another thread is in this loop; give each one its own qx.controller")
         try:

@@ -57,7 +57,7 @@ LANDMARKS = {
     "table": ("report.inference.mean_interval",),
 }
 CONFIGURING = 10  # modules from the words of the command line to the first period
-ENTERED = 60  # modules in which a line runs, of all; of plugin.py that which names the plug-in of the margins
+ENTERED = 61  # modules in which a line runs, of all, without imports; two are plug-ins' (margins, notes on commands)
 MOST = 22  # one of them the integrator that all plants share
 
 
@@ -76,7 +76,8 @@ class Walk:
             module = self._module(frame)
             if event != "call" or not module:
                 return
-            self.entered.add(module)
+            if module not in self.entered and not _is_importing(frame):
+                self.entered.add(module)
             landmark = f"{module}.{frame.f_code.co_name}"
             if landmark in LANDMARKS[name]:
                 chain: list[str] = []
@@ -100,6 +101,16 @@ class Walk:
     @staticmethod
     def _module(frame: FrameType) -> str:
         return _module_of(frame.f_code.co_filename)
+
+
+def _is_importing(frame: FrameType) -> bool:
+    """Whether it runs because Python imports a module, which it does once in a process, whoever is first."""
+    at: FrameType | None = frame
+    while at is not None:
+        if at.f_code.co_filename == "<frozen importlib._bootstrap>":
+            return True
+        at = at.f_back
+    return False
 
 
 @cache

@@ -8,7 +8,7 @@ candidate that explains a flight is its correction too. Frames: world ENU from N
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import combinations, permutations, product
@@ -213,7 +213,8 @@ def scale_candidates(gain: float, streams: str) -> tuple[Candidate, ...]:
 
 
 # ----------------------------------------------------------------------------------------------------- bias and heading
-BIAS = {"w": ("rate", 0.03, "rad/s"), "f": ("force", 0.5, "m/s^2")}  # by stream: relation, the least that is named
+# By stream: relation, the least bias that is named, the largest that a sensor has, unit.
+BIAS = {"w": ("rate", 0.03, 1.0, "rad/s"), "f": ("force", 0.5, 3.0, "m/s^2")}
 BIAS_SURE = 5.0  # standard errors
 FORCE_SCALE_BLOCKS = 0.08  # what a bias along z looks like
 LEAST_YAW, YAW_BLOCKS = 2.0, 8.0  # deg
@@ -223,16 +224,16 @@ def bias_candidates(windows: Windows) -> list[Candidate]:
     """A constant that a gyro or an accelerometer adds, where the flight shows one."""
     known = {pair.name: pair for pair in pairs(windows)}
     candidates = []
-    for stream, (relation, least, unit) in BIAS.items():
+    for stream, (relation, least, most, unit) in BIAS.items():
         pair = known.get(relation) or known.get(f"{relation} (p)")
         if pair is None:
             continue
         gap = pair.measured - pair.expected
-        stretch = np.arange(len(gap)) % len(windows.t) * STRETCHES // len(windows.t)
+        stretch = stretches_of(len(gap), len(windows.t))
         medians = np.array([np.median(gap[stretch == k], axis=0) for k in np.unique(stretch)])
         error = medians.std(axis=0, ddof=1) / np.sqrt(len(medians)) if len(medians) > 2 else np.full(3, np.inf)
         bias = np.where(np.abs(np.median(gap, axis=0)) > BIAS_SURE * error, np.median(gap, axis=0), 0.0)
-        if np.abs(bias).max() < least:
+        if not least <= np.abs(bias).max() <= most:
             continue
         offset = [float(f"{x:.3g}") + 0.0 for x in bias]
         text = f"a bias of {', '.join(f'{x:g}' for x in offset)} {unit}"
@@ -240,24 +241,30 @@ def bias_candidates(windows: Windows) -> list[Candidate]:
     return candidates
 
 
+def world_acceleration(windows: Windows) -> tuple[np.ndarray, np.ndarray] | None:
+    """What velocity or position and what the accelerometer say, both with g, in the world, (2n, 3) of halves of the
+    windows, or (n, 3); None where a stream is missing."""
+    known = {pair.name: pair for pair in pairs(windows)}
+    pair = known.get("force") or known.get("force (p)")
+    if pair is None:
+        return None
+    half = windows.t.shape[1] // 2
+    turn = windows.rotation[:, half] if pair.name.endswith("(p)") else np.concatenate(
+        [windows.rotation[:, (a + b) // 2] for a, b in halves(windows.t)]
+    )  # fmt: skip
+    return np.einsum("nij,nj->ni", turn, pair.expected), np.einsum("nij,nj->ni", turn, pair.measured)
+
+
 def heading_candidates(windows: Windows) -> list[Candidate]:
     """A heading of the attitude that is turned about the vertical against position and velocity:
 
     min over psi of sum_k |a_k - R_z(psi) R_k f_k|^2,  horizontal components.
     """
-    if "f" not in windows.streams:
+    sides = world_acceleration(windows)
+    if sides is None:
         return []
-    known = {pair.name: pair for pair in pairs(windows)}
-    pair = known.get("force") or known.get("force (p)")
-    if pair is None:
-        return []
-    half = windows.t.shape[1] // 2
-    turn = windows.rotation[:, half] if pair.name.endswith("(p)") else np.concatenate(
-        [windows.rotation[:, (a + b) // 2] for a, b in halves(windows.t)]
-    )  # fmt: skip
-    world = [np.einsum("nij,nj->ni", turn, side)[:, :2] for side in (pair.expected, pair.measured)]
-    x, y = (side - side.mean(axis=0) for side in world)
-    stretch = np.arange(len(x)) % len(windows.t) * STRETCHES // len(windows.t)
+    x, y = (side[:, :2] - side[:, :2].mean(axis=0) for side in sides)
+    stretch = stretches_of(len(x), len(windows.t))
 
     def angle(rows: np.ndarray) -> float:
         a, b = x[rows], y[rows]
@@ -313,30 +320,48 @@ def mounting_candidates(windows: Windows) -> list[Candidate]:
 
 
 def _estimate(known: list[Pair], windows: int) -> tuple[Rotation, np.ndarray] | None:
-    """The rotation of the measured sides of these relations onto the expected ones, and the standard errors of the turn
-    about x, y, z (deg); None where there is none."""
-    alone = all(pair.name != "rate" for pair in known)
-    parts = []
+    """The rotation of the measured sides of these relations onto the expected ones, and its standard errors (deg); None
+    where there is none."""
+    sides = []
     for name, expected, measured in known:
         floor = RELATIONS[name].floor
         if name == "rate" and np.sqrt(np.mean(np.sum(expected**2, axis=1))) < LEAST_MOTION * floor:
             return None
-        size = norms(expected - kabsch(expected, measured).apply(measured))
-        near = size <= np.quantile(size, KEPT_WINDOWS)
-        stretch = np.arange(len(measured)) % windows * STRETCHES // windows
-        parts.append((expected[near] / floor, measured[near] / floor, stretch[near]))
-    x, y, part = (np.concatenate(side) for side in zip(*parts, strict=True))
-    if len(x) < 3 * STRETCHES or not (np.isfinite(x).all() and np.isfinite(y).all()):
+        if not (np.isfinite(expected).all() and np.isfinite(measured).all()):
+            return None
+        sides.append((expected / floor, measured / floor))
+    if KEPT_WINDOWS * sum(len(x) for x, _ in sides) < 3 * STRETCHES:
         return None
+    return certain_turn(*turn_of(sides, windows), alone=all(pair.name != "rate" for pair in known))
+
+
+def turn_of(sides: Sequence[tuple[np.ndarray, np.ndarray]], windows: int) -> tuple[Rotation, np.ndarray]:
+    """The rotation of what was read onto what the motion says, and its standard errors about x, y, z (deg), by a
+    jackknife. sides: what the motion says and what was read, (n, 3) each, in floors."""
+    parts = []
+    for x, y in sides:
+        size = norms(x - kabsch(x, y).apply(y))
+        near = size <= np.quantile(size, KEPT_WINDOWS)
+        parts.append((x[near], y[near], stretches_of(len(x), windows)[near]))
+    x, y, part = (np.concatenate(side) for side in zip(*parts, strict=True))
     turn = kabsch(x, y)
     rest = [kabsch(x[part != k], y[part != k]) for k in np.unique(part)]
     apart = np.array([(partly * turn.inv()).as_rotvec() for partly in rest])
-    error = np.degrees(np.sqrt((len(rest) - 1) * np.var(apart, axis=0)))  # jackknife
+    return turn, np.degrees(np.sqrt((len(rest) - 1) * np.var(apart, axis=0)))
+
+
+def certain_turn(turn: Rotation, error: np.ndarray, *, alone: bool) -> tuple[Rotation, np.ndarray] | None:
+    """A turn that is real, None where it is not. alone: of an accelerometer, which may not tell it about z."""
     about_z = abs(np.degrees(turn.as_rotvec()[2]))
     if alone and (about_z < CERTAIN_ALONE * error[2] or error[2] > LEAST_TURN):
         turn = shortest(turn)
     spread = np.linalg.norm(error[:2] if alone else error)
     return (turn, error) if max(LEAST_TURN, CERTAIN * spread) <= np.degrees(turn.magnitude()) < LARGEST_TURN else None
+
+
+def stretches_of(rows: int, windows: int) -> np.ndarray:
+    """The stretch of the flight, (rows,), that each row is of; rows: a multiple of the number of windows."""
+    return np.arange(rows) % windows * STRETCHES // windows
 
 
 def kabsch(x: np.ndarray, y: np.ndarray) -> Rotation:
@@ -354,14 +379,21 @@ def shortest(turn: Rotation) -> Rotation:
     return Rotation.from_rotvec(np.arctan2(sine, up[2]) * axis / sine) if sine > 1e-9 else Rotation.identity()
 
 
-def _candidate(streams: str, turn: Rotation, error: np.ndarray, cost: float, words: str) -> Candidate:
-    """The mounting undone. Turns by less than MOST_TURN do not block."""
+def turn_words(words: str, turn: Rotation, error: np.ndarray) -> tuple[list[float], str]:
+    """Roll, pitch and yaw of a mounting (deg), and what is said of it."""
     yaw, pitch, roll = turn.as_euler("ZYX", degrees=True)  # M = R_z(yaw) R_y(pitch) R_x(roll), as the mapping has it
     angles = [round(float(x), 2) + 0.0 for x in (roll, pitch, yaw)]
-    size = float(np.degrees(turn.magnitude()))
     listed, errors = ", ".join(f"{x:g}" for x in angles), ", ".join(f"{e:.1f}" for e in error)
-    text = f"{words} turned by {size:.1f} deg: roll, pitch, yaw {listed} deg (standard errors {errors})"
+    size = np.degrees(turn.magnitude())
+    return angles, f"{words} turned by {size:.1f} deg: roll, pitch, yaw {listed} deg (standard errors {errors})"
+
+
+def _candidate(streams: str, turn: Rotation, error: np.ndarray, cost: float, words: str) -> Candidate:
+    """The mounting undone. Turns by less than MOST_TURN do not block."""
+    angles, text = turn_words(words, turn, error)
+    size = float(np.degrees(turn.magnitude()))
     severity = "info" if size < TURN_WARNS else "warning" if size <= MOST_TURN else "blocking"
     lines = {KEYS[name]: {"mounting": angles} for name in sorted(streams)}
-    options = " ".join(f"{OPTIONS[name]}={listed.replace(' ', '')}" for name in sorted(streams))
+    listed = ",".join(f"{angle:g}" for angle in angles)
+    options = " ".join(f"{OPTIONS[name]}={listed}" for name in sorted(streams))
     return Candidate("mounting", streams, text, lines, 2.5 if severity == "blocking" else cost, severity, options)

@@ -9,7 +9,7 @@ is less than search.MARGIN log units behind, the line is a guess that asks which
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ from quadexp.log.runs import period_of
 from quadexp.messages import printable
 from quadexp.physics.rotation import continuous
 from quadexp.physics.state import norms
-from quadexp.plugins.check.candidates import READINGS, Candidate, flow
+from quadexp.plugins.check.candidates import KEYS, READINGS, Candidate, flow
 from quadexp.plugins.check.columns import Match, Table
 from quadexp.plugins.check.search import MARGIN, PER_COST, agreement, explain
 from quadexp.plugins.logs.column_names import groups, numbered_quaternion, unit_of
@@ -42,12 +42,22 @@ TUM = ["t", "x", "y", "z", "qx", "qy", "qz", "qw"]  # of a trajectory without a 
 COUNTS_PER_DEGREE = (16.4, 32.8, 65.5, 131.0)
 APART = 0.03  # of the logarithm: how near a gain is to a unit that is sure
 LEAST_SAMPLES = 50  # of a column; of fewer a correlation of 0.3 may be chance
+FULL_TURN, UPSIDE = 6.4, 1.6  # rad: larger angles are degrees; roll and pitch that stay below it are not
 FEW = 60  # windows that every frame is tried on
 SURE, LIKELY, GUESS = 0.95, 0.7, 0.4  # shares shown to a user; nothing is decided by them
 WORLDS = {  # frame of the log's world: what it is, cost
     "ENU": ("z up; which way x points from north cannot be known from the data", 0.0), "NED": ("z down", 0.1),
     "z x y": ("y up", 2.5), "x -z y": ("y down", 2.5), "y z x": ("x up", 2.5), "z -y x": ("x down", 2.5),
 }  # fmt: skip
+MISFITS = ("misfit", "inconsistent")  # findings that nothing proposed explains: then no frame is sure
+KEY_LETTERS = {key: letter for letter, key in KEYS.items()}
+SENSORS_APART: tuple[tuple[str, dict[str, Any]], ...] = (
+    *((key, {"frame": frame}) for key in ("acceleration", "rate") for frame in ("FLU", "FRD")),
+    ("acceleration", {"frame": "world"}), ("acceleration", {"kind": "coordinate"}),
+    ("acceleration", {"frame": "world", "kind": "coordinate"}),
+)  # fmt: skip
+OF_ALL = 40  # conventions of all streams, the likeliest, with which those of single sensors are tried
+AGAINST_NAMES = 2.0  # cost of a quaternion whose columns are not what they are called
 PLAIN = {"order": "wxyz", "direction": "body_to_world"}
 BODIES = ("FLU", "FRD", "z x y", "x z -y", "y z x", "z -y x")
 # Units of position and velocity: gain of the velocity over the derivative.
@@ -140,7 +150,7 @@ def _clock(path: Path, names: list[str], data: np.ndarray) -> tuple[int, Proposa
     for i, values in enumerate(data.T):
         values = values[np.isfinite(values)]
         steps = np.diff(values)
-        if len(values) < max(20, 0.5 * len(data)) or (steps < 0).mean() > 0.01 or (steps > 0).mean() < 0.3:
+        if len(values) < max(20, 0.5 * len(data)) or (steps < 0).mean() > 0.05 or (steps > 0).mean() < 0.3:
             continue
         counter = bool((steps == steps[0]).all() and steps[0] == 1.0 and values[0] in (0.0, 1.0))
         even = float(np.median(np.abs(steps - np.median(steps))) / max(np.median(steps), 1e-300))
@@ -213,8 +223,9 @@ class _Proposals:
         units, length, x = _nearest(v.gain, GAINS), self.written(p, "length"), self.table.x
         if GAINS[units] == 1.0 and length in ("mm", "cm"):
             units = (length, f"{length}/s")
-        elif GAINS[units] == 1.0 and np.ptp(x[:, p], axis=0).max() > 500 and np.abs(x[:, v.columns]).max() > 80:
-            units = ("mm", "mm/s")
+        elif GAINS[units] == 1.0:  # two axes at least: a single one in mm is named by the search
+            far, fast = np.ptp(x[:, p], axis=0), np.abs(x[:, v.columns]).max(axis=0)
+            units = ("mm", "mm/s") if np.median(far) > 500 and np.median(fast) > 80 else units
         clear = abs(v.gain * UNITS["velocity"][units[1]] / UNITS["length"][units[0]] - 1) < 0.1
         sure = (SURE if v.correlation > 0.95 else 0.75) if clear else GUESS
         why = f"the velocity is {v.gain:.3g} times its derivative, correlation {v.correlation:.3f}"
@@ -230,14 +241,8 @@ class _Proposals:
             x = table.windows[..., attitude]
             self.streams["q"] = continuous(x.reshape(-1, 4)).reshape(x.shape)
             self.propose("attitude", attitude, GUESS, "norm 1", **PLAIN)
-        for columns in table.named.get("euler", [])[:1] if attitude is None else ():
-            largest = float(np.abs(table.x[:, columns]).max())
-            unit = self.written(columns, "angle") or ("deg" if largest > 6.4 else "rad")
-            self.propose("attitude", columns, 0.5, f"named so; largest {largest:.3g}", order="rpy", unit=unit)
-            if largest > 0:
-                angles = table.windows[..., columns[::-1]] * UNITS["angle"][unit]
-                q = Rotation.from_euler("ZYX", angles.reshape(-1, 3)).as_quat(scalar_first=True)
-                self.streams["q"] = continuous(q).reshape(*angles.shape[:2], 4)
+        if attitude is None and table.named.get("euler"):
+            self._angles(table.named["euler"][0])
         v = self.streams.get("v")
         if v is None and "p" in self.streams:
             p = table.x[:, self.places["position"]] * UNITS["length"][self.fields["position"].value["unit"]]
@@ -251,6 +256,21 @@ class _Proposals:
             self._rate(rate.columns, 1 / rate.gain, f"correlation {rate.correlation:.3f} with the attitude's rate")
         elif named:
             self._rate(named[0], None, "by its name")
+
+    def _angles(self, columns: list[int]) -> None:
+        """Roll, pitch and yaw, their unit by their size; a yaw in degrees may stand beside roll and pitch in rad."""
+        angles, largest = self.table.windows[..., columns], np.abs(self.table.x[:, columns]).max(axis=0)
+        written, lines = self.written(columns, "angle"), dict[str, Any]()
+        unit = written or ("deg" if largest.max() > FULL_TURN else "rad")
+        factor = np.full(3, UNITS["angle"][unit])
+        if written is None and largest[:2].max() < UPSIDE and largest[2] > FULL_TURN:
+            unit, factor = "rad", np.array([1.0, 1.0, UNITS["angle"]["deg"]])
+            lines = {"scale": [1.0, 1.0, float(f"{factor[2]:.7g}")]}
+        why = f"named so; largest {', '.join(f'{x:.3g}' for x in largest)}"
+        self.propose("attitude", columns, 0.5, why, order="rpy", unit=unit, **lines)
+        if largest.max() > 0:
+            turns = Rotation.from_euler("ZYX", (angles * factor)[..., ::-1].reshape(-1, 3))
+            self.streams["q"] = continuous(turns.as_quat(scalar_first=True)).reshape(*angles.shape[:2], 4)
 
     def _rate(self, columns: list[int], gain: float | None, why: str) -> None:
         """Unit of a gyro: by its gain (rad/s a unit), or where nothing can be compared by its name or size."""
@@ -307,34 +327,39 @@ class _Proposals:
         if still:
             log = Windows(log.t, {**self.streams, "v": np.zeros((*log.t.shape, 3))})
         few = log.every(max(1, len(log.t) // FEW))
-        scored = [
-            (value, candidate) for candidate in self._conventions() if (value := _explained(candidate, few)) is not None
-        ]
+        scored = _ranked(self._conventions(), few)
+        likely = [candidate for _, candidate in scored[:OF_ALL]]
+        scored += _ranked([other for candidate in likely for other in self._with_a_sensor_apart(candidate)], few)
         scored.sort(key=lambda pair: -pair[0])
         value, best = scored[0]
-        mends = [candidate for candidate in explain(best.apply(log))[0] if candidate.blocks]
-        mends = [
-            candidate for candidate in mends if not (still and "acceleration" in candidate.correction)
-        ]  # nor what is left of it
+        taken, findings = explain(best.apply(log))
+        mends = [candidate for candidate in taken if candidate.blocks]
+        if still:  # nor what is left of it
+            mends = [candidate for candidate in mends if "acceleration" not in candidate.correction]
+        misfit = next((f"; but {each.where}: {each.measured}" for each in findings if each.name in MISFITS), "")
         for key in ("world", "body", "attitude"):
             chosen = best.correction.get(key)
             others = [(v, candidate) for v, candidate in scored if candidate.correction.get(key) != chosen]
             behind, rival = max(others, key=lambda pair: pair[0], default=(value - 2 * MARGIN, best))
             text = f"log likelihood {value - behind:.1f} above that of {flow(rival.correction.get(key, PLAIN))}"
-            sure = SURE if value - behind >= MARGIN else GUESS
-            text += "" if sure == SURE else ": decide between both"
+            near = value - behind < MARGIN
+            text += (": decide between both" if near else "") + misfit
+            sure = GUESS if near or misfit else SURE
             if key == "attitude":
                 lines, confidence, why = self.fields[key]
                 chosen = _of_columns(chosen or {}, best.correction)
+                if "scale" in chosen and "scale" in lines:
+                    chosen = {"scale": [a * b for a, b in zip(chosen["scale"], lines["scale"], strict=True)]}
                 self.fields[key] = Proposal({**lines, **chosen}, max(sure, confidence), f"{why}; {text}")
             else:
                 about = WORLDS[str(chosen)][0] if key == "world" else "where the thrust points along z"
                 self.fields[key] = Proposal(chosen, sure, f"{about}; {text}")
-        for key in {"velocity", "acceleration"} & best.correction.keys():
+        for key in {"velocity", "acceleration", "rate"} & best.correction.keys():
             self.fields[key].value.update(best.correction[key])
         if mends:
             why = "; ".join(f"{candidate.where}: {candidate.text}" for candidate in mends)
-            self.fields["corrections"] = Proposal([candidate.correction for candidate in mends], SURE, why)
+            corrections = [candidate.correction for candidate in mends]
+            self.fields["corrections"] = Proposal(corrections, GUESS if misfit else SURE, why + misfit)
 
     def _conventions(self) -> list[Candidate]:
         """Every order and direction of the quaternion in every frame."""
@@ -345,14 +370,25 @@ class _Proposals:
             signs = ([1, -1, 1], [-1, 1, 1], [1, 1, -1], [-1, -1, 1], [1, -1, -1], [-1, 1, -1])
             readings += [({"angles": each}, 0.6 + 0.2 * each.count(-1)) for each in signs]
         if len(columns) == 4:
-            readings += [(lines, cost) for *_, lines, cost in READINGS[:3] if not (fixed and "order" in lines)]
+            for *_, lines, cost in READINGS[:3]:
+                against_names = AGAINST_NAMES if fixed and "order" in lines else 0.0
+                readings.append((lines, cost + against_names))
         turned = [{}, {"velocity": {"frame": "body"}}] if "v" in self.streams else [{}]
-        turned += [{"acceleration": {"frame": "world"}}] if "f" in self.streams else []
         conventions = []
         for (lines, cost), (world, (_, more)), body, frame in product(readings, WORLDS.items(), BODIES, turned):
             correction = {"world": world, "body": body, **({"attitude": lines} if lines else {}), **frame}
             conventions.append(Candidate("", "pqvwf", "", correction, cost + more + bool(frame)))
         return conventions
+
+    def _with_a_sensor_apart(self, candidate: Candidate) -> list[Candidate]:
+        """The same, with one sensor in a frame of its own, or an accelerometer without gravity."""
+        others = []
+        for key, lines in SENSORS_APART:
+            letter = KEY_LETTERS[key]
+            if letter in self.streams and lines.get("frame") != candidate.correction["body"]:
+                correction = candidate.correction | {key: lines}
+                others.append(replace(candidate, correction=correction, cost=candidate.cost + len(lines)))
+        return others
 
     def _body_by_gravity(self) -> None:
         """The body's frame where there is no attitude to check it with."""
@@ -415,6 +451,13 @@ def _of_columns(reading: dict[str, Any], frames: Mapping[str, Any]) -> dict[str,
     signs = reading.get("angles")
     plain = (frames["world"], frames["body"]) in (("ENU", "FLU"), ("NED", "FRD"))
     return {"scale": signs} if signs and plain and signs[2] == 1 else reading
+
+
+def _ranked(conventions: Sequence[Candidate], windows: Windows) -> list[tuple[float, Candidate]]:
+    """Those in which the thrust is along z, each with its evidence, the likeliest first."""
+    scored = [(_explained(candidate, windows), candidate) for candidate in conventions]
+    known = [(value, candidate) for value, candidate in scored if value is not None]
+    return sorted(known, key=lambda pair: -pair[0])
 
 
 def _explained(candidate: Candidate, windows: Windows) -> float | None:

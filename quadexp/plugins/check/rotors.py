@@ -10,7 +10,6 @@ whose coefficients are matched with the vehicle's columns (Kuhn 1955). Roll and 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
@@ -23,6 +22,7 @@ from quadexp.names import distinct
 from quadexp.physics.state import finite_rows, norms, root_mean_square
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.logs.finding import Finding, of_rows
+from quadexp.plugins.logs.samples import rotor_columns
 from quadexp.plugins.logs.units import ELECTRICAL, UNITS
 
 # Of commands and battery:
@@ -53,12 +53,8 @@ MOST_ROWS = 15_000  # thinned evenly beyond, as every order of the rotors is tri
 
 def command_columns(flight: Flight) -> dict[str, list[str]]:
     """Columns of rotor signals by kind, in rotor order."""
-    signals: dict[str, list[str]] = {}
-    for kind in ("motor_command", "u", "rotor_speed"):
-        numbers = sorted(int(match[1]) for name in flight.columns if (match := re.fullmatch(rf"{kind}_(\d+)", name)))
-        if numbers:
-            signals[kind] = [f"{kind}_{number}" for number in numbers]
-    return signals
+    every = {kind: rotor_columns(flight, kind) for kind in ("motor_command", "u", "rotor_speed")}
+    return {kind: names for kind, names in every.items() if names}
 
 
 def limits(kind: str, vehicle: Vehicle | None) -> tuple[float, float, str] | None:

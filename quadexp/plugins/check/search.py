@@ -48,6 +48,7 @@ MEASURED = ("scale", "heading")
 CALIBRATIONS = {"mounting", "bias", "scale"}
 MOVES = ("velocity", "rate", "force", "force (p)")  # relations whose both sides move
 MISFIT = 3.0  # floors: what is left of a relation's axis beyond is said, whatever was found
+INCONSISTENT = "compare the mapping with what `quadexp import --describe LOG` proposes, or leave the stream out of it"
 FEW, FINALISTS = 100, 10  # every candidate is tried on so many windows first, the best ones on all
 STRAY = 12.0  # robust standard deviations
 STRAY_FLOOR = {"acceleration_outlier": 8.0, "rate_outlier": 4.0}  # m/s^2 and rad/s, means over a window
@@ -172,6 +173,15 @@ class Trial:
         was, stays = (sum(side[name].excess for name in self.better) for side in (self.before, self.after))
         return float(np.sqrt(stays / was)) if was > 0 else 1.0
 
+    @property
+    def within_floors(self) -> bool:
+        """Whether what it betters was no more than sensors differ by: of a slow flight, where it is a warning."""
+        return all(self.before[name].excess == 0 for name in self.better)
+
+    @property
+    def as_warning(self) -> Trial:
+        return replace(self, candidate=replace(self.candidate, severity="warning"))
+
     def shrinks(self, share: float, names: Sequence[str], axes: Sequence[int] = (0, 1, 2)) -> bool:
         """Whether of one of these relations less than this share of the residual is left, along these axes."""
         for name in set(names) & self.after.keys():
@@ -192,6 +202,8 @@ class Trial:
         unusual = fault in ("axis_swap", "sign_flip", "units") and all(name.startswith("thrust") for name in better)
         if unusual and not self.shrinks(CLEAR, better):
             return False
+        if fault == "units" and self.candidate.streams == "f" and self.shrinks(CLEAR, ("force", "force (p)")):
+            return True  # gravity says it, whichever way the sensor stands
         return any(after[name].ratio < DISAGREE and after[name].size > MOVING * after[name].floor for name in better)
 
     def _more_than_nothing(self) -> bool:
@@ -260,6 +272,7 @@ def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
                 break
             trials = _ranked(windows, before, taken)
             named = [trial for trial in trials if trial.left < MOST_LEFT or trial.measured]
+            named = named or [trial.as_warning for trial in trials if trial.within_floors]
             if trials and not named:
                 findings.append(_unexplained(trials[0]))
         if not named:
@@ -279,7 +292,7 @@ def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
                 f"{relation.words}, correlation {relation.correlation:.2f}; no change of unit, frame or sign mends it"
             )
             allowed = f"{DISAGREE:.0%} of the signal"
-            findings.append(Finding("inconsistent", "blocking", relation.columns, text, allowed))
+            findings.append(Finding("inconsistent", "blocking", relation.columns, text, allowed, INCONSISTENT))
     small, before = _small_factors(windows, before, taken)
     findings += small
     return taken, findings + _misfits(before, findings)
@@ -288,12 +301,18 @@ def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
 def _rival(best: Trial, named: list[Trial]) -> Trial | None:
     """The next best explanation, where it lies less than MARGIN behind."""
     for trial in named:
-        near = trial is not best and best.value - trial.value < MARGIN
+        near = best.value - trial.value < MARGIN and not _same(trial, best)
         if near and best.candidate.blocks and trial.conventional and trial.candidate.blocks:
             return trial
         if near and trial.candidate.fault != best.candidate.fault and best.competes(trial):
             return trial
     return None
+
+
+def _same(trial: Trial, best: Trial) -> bool:
+    """Whether both say one thing: a unit, and the factor that it is."""
+    factors = {trial.candidate.fault, best.candidate.fault} == {"units", "scale"}
+    return trial is best or (factors and trial.candidate.streams == best.candidate.streams)
 
 
 def _small_factors(windows: Windows, before: Agreements, taken: list[Candidate]) -> tuple[list[Finding], Agreements]:

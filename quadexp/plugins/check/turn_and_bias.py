@@ -12,28 +12,24 @@ than CLEAR, both are named. The means do not count: every sensor has a small bia
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from quadexp.physics.state import norms
 from quadexp.plugins.check.axis_scale import body_force
 from quadexp.plugins.check.candidates import (
     BIAS,
     BIAS_SURE,
     KEYS,
-    LARGEST_TURN,
     LEAST_MOTION,
-    LEAST_TURN,
     MOST_TURN,
     SENSORS,
-    STRETCHES,
     Candidate,
-    kabsch,
-    shortest,
+    certain_turn,
+    stretches_of,
+    turn_of,
+    turn_words,
 )
 from quadexp.plugins.logs.signal.windows import RELATIONS, Windows, pairs
 
 KEPT = 0.9  # share of the windows
-CERTAIN = 3.0  # standard errors of a turn
 CLEAR = 3.5  # standard errors of a difference of squared residuals
 COST = 1.9  # log units: how much a turn with a bias claims, see Candidate.cost
 
@@ -66,16 +62,15 @@ def turned_and_biased(windows: Windows) -> list[Candidate]:
 
 
 def _candidate(streams: str, known: Sides, windows: int, words: str) -> Candidate | None:
-    turn, error = _turn(known, windows)
-    alone = streams == "f"
-    if alone and (error[2] > LEAST_TURN or abs(np.degrees(turn.as_rotvec()[2])) < BIAS_SURE * error[2]):
-        turn = shortest(turn)
-    spread = float(np.linalg.norm(error[:2] if alone else error))
-    size = float(np.degrees(turn.magnitude()))
-    if not max(LEAST_TURN, CERTAIN * spread) <= size < LARGEST_TURN:
+    sides = []
+    for name, (x, y) in known.items():
+        floor = RELATIONS["rate" if name == "w" else "force"].floor
+        sides.append(((x - x.mean(axis=0)) / floor, (y - y.mean(axis=0)) / floor))
+    found = certain_turn(*turn_of(sides, windows), alone=streams == "f")
+    if found is None:
         return None
-    yaw, pitch, roll = turn.as_euler("ZYX", degrees=True)
-    angles = [round(float(x), 2) + 0.0 for x in (roll, pitch, yaw)]
+    turn, error = found
+    angles, text = turn_words(words, turn, error)
     lines: dict[str, dict[str, object]] = {KEYS[name]: {"mounting": angles} for name in sorted(streams)}
     biases = []
     for name, (x, y) in known.items():
@@ -84,7 +79,9 @@ def _candidate(streams: str, known: Sides, windows: int, words: str) -> Candidat
         medians = np.array([np.median(part, axis=0) for part in _by_stretch(gap, windows)])
         uncertain = medians.std(axis=0, ddof=1) / np.sqrt(len(medians))
         bias = np.where(np.abs(bias) > BIAS_SURE * uncertain, bias, 0.0)
-        _, least, unit = BIAS[name]
+        _, least, most, unit = BIAS[name]
+        if np.abs(bias).max() > most:  # it is another fault that looks like one
+            return None
         if np.abs(bias).max() < least:
             continue
         offset = [float(f"{x:.3g}") + 0.0 for x in bias]
@@ -92,33 +89,12 @@ def _candidate(streams: str, known: Sides, windows: int, words: str) -> Candidat
         biases.append(f"{', '.join(f'{x:g}' for x in offset)} {unit}")
     if not biases:
         return None
-    listed, errors = ", ".join(f"{x:g}" for x in angles), ", ".join(f"{e:.1f}" for e in error)
-    text = f"{words} turned by {size:.1f} deg: roll, pitch, yaw {listed} deg (standard errors {errors}), with a bias of"
-    severity = "warning" if size <= MOST_TURN else "blocking"
-    return Candidate("mounting", streams, f"{text} {' and '.join(biases)}", lines, COST, severity)
-
-
-def _turn(known: Sides, windows: int) -> tuple[Rotation, np.ndarray]:
-    """The rotation of what was read onto what the motion says, by their variations; its standard errors about x, y, z
-    (deg)."""
-    expected, measured, stretches = [], [], []
-    for name, (x, y) in known.items():
-        floor = RELATIONS["rate" if name == "w" else "force"].floor
-        x, y = x - x.mean(axis=0), y - y.mean(axis=0)
-        size = norms(x - kabsch(x, y).apply(y))
-        near = size <= np.quantile(size, KEPT)
-        expected.append(x[near] / floor)
-        measured.append(y[near] / floor)
-        stretches.append((np.arange(len(x)) % windows * STRETCHES // windows)[near])
-    x, y, part = np.concatenate(expected), np.concatenate(measured), np.concatenate(stretches)
-    turn = kabsch(x, y)
-    rest = [kabsch(x[part != k], y[part != k]) for k in np.unique(part)]
-    apart = np.array([(partly * turn.inv()).as_rotvec() for partly in rest])
-    return turn, np.degrees(np.sqrt((len(rest) - 1) * np.var(apart, axis=0)))
+    severity = "warning" if np.degrees(turn.magnitude()) <= MOST_TURN else "blocking"
+    return Candidate("mounting", streams, f"{text}, with a bias of {' and '.join(biases)}", lines, COST, severity)
 
 
 def _by_stretch(values: np.ndarray, windows: int) -> list[np.ndarray]:
-    stretch = np.arange(len(values)) % windows * STRETCHES // windows
+    stretch = stretches_of(len(values), windows)
     return [values[stretch == k] for k in np.unique(stretch)]
 
 

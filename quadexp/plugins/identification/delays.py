@@ -127,8 +127,7 @@ def _of_log(flight: Flight, name: str, vehicle: Vehicle) -> tuple[Delays, list[s
         if len(speeds) == samples.signal.shape[1]:
             late, lines = _by_speeds(samples, flight.stack(speeds).astype(float))
         else:
-            force, velocity = samples.force[:, 2], samples.velocity
-            late = find_lag(samples.time, samples.segment, samples.signal, force, velocity, samples.held)
+            late = samples.command_lag()
     still = replace(flight, columns={**flight.columns, **_no_commands(len(flight), vehicle)})
     ages = Search(Moments(_evenly(still, name), vehicle)).ages()
     if late is None:

@@ -17,17 +17,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
-from scipy.linalg.blas import dger
 
-from quadexp.compile.backend import BufferedFunction
-from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError
 from quadexp.log.runs import period_of
-from quadexp.physics.expression import named_function, named_symbols, unit
-from quadexp.physics.rotation import rotation_matrix
+from quadexp.physics.rotation import continuous
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 
@@ -39,6 +34,7 @@ CLOCK = 10.0  # s, unit of time within the products
 N_AIR = 7  # of the air's columns
 LEAST = 100  # samples
 ROUND, ROUNDS = 25, 15  # steps of the half, in spans; twice as long from so many steps on
+TOGETHER = 4096  # samples that are multiplied at once
 
 
 @dataclass(frozen=True)
@@ -90,80 +86,112 @@ class Moments:
     """
 
     def __init__(self, stream: Stream, vehicle: Vehicle) -> None:
-        if len(stream.t) < LEAST:
-            raise DataError(f"delays cannot be found in {len(stream.t)} samples, {LEAST} are needed")
+        samples = len(stream.t)
+        if samples < LEAST:
+            raise DataError(f"delays cannot be found in {samples} samples, {LEAST} are needed")
         self.vehicle, self.sizes = vehicle, Sizes(period_of(stream.t))
-        function = BufferedFunction(_row(vehicle, self.sizes.period))
-        self._given, self._rows = function.arguments, function.results
-        names = ("thrust", "turning_x", "turning_y")
-        self.thrust, self.turning_x, self.turning_y = totals = [_zeros(self._rows[name].size) for name in names]
-        products = [(self._rows[name], total) for name, total in zip(names, totals, strict=True)]
-        self._begin_spans()
-        self.spans = max(len(stream.t) - self.sizes.span - self.sizes.lags, 0)
+        motion = _Motion(stream, vehicle, self.sizes)
+        first = max(round(BEGINS / self.sizes.period), 1)
+        self.counted = max(samples - first, 0)
+        self.thrust = self.turning_x = self.turning_y = np.zeros(())
+        for rows in _in_parts(np.arange(first, samples)):
+            self.thrust = self.thrust + _products(motion.thrust(rows))
+            self.turning_x = self.turning_x + _products(motion.turning(rows, 0))
+            self.turning_y = self.turning_y + _products(motion.turning(rows, 1))
+        spans = np.arange(self.sizes.span + self.sizes.lags, samples)
+        self.spans = len(spans)
         half = half_of(self.spans)
-        self.half = (0, self.velocity.copy(), self.attitude.copy())
-        first = round(BEGINS / self.sizes.period)
-        self.counted = max(len(stream.t) - max(first, 1), 0)
-        histories = self._histories(stream)
-        for k in range(1, len(stream.t)):
-            self._given["x_before"][...], self._given["x"][...] = stream.state[k - 1], stream.state[k]
-            self._given["t"][0] = (stream.t[k] - stream.t[0]) / CLOCK
-            for name, (history, length) in histories.items():
-                self._given[name][...] = history[k : k + length]
-            function()
-            if k >= first:
-                for z, total in products:
-                    dger(1.0, z, z, a=total, overwrite_x=False, overwrite_y=False, overwrite_a=True)
-            self._add_spans(k, stream.state[k, VELOCITY])
-            if half and k + 1 - self.sizes.span - self.sizes.lags == half:
-                self.half = (half, self.velocity.copy(), self.attitude.copy())
+        velocity, attitude = self._over_spans(motion, spans[:half])
+        self.half = (half, velocity, attitude)
+        rest = self._over_spans(motion, spans[half:])
+        self.velocity, self.attitude = velocity + rest[0], attitude + rest[1]
 
-    def _histories(self, stream: Stream) -> dict[str, tuple[np.ndarray, int]]:
-        """Of every vector how it was until each sample, as if it had always been the first before; and how many of
-        these the sample takes: of readings until now, of commands without that of now."""
-        to_thrusts = np.vstack([np.full(self.vehicle.n_rotors, 1 / self.vehicle.mass), self.vehicle.allocation[1:3]]).T
-        to_thrusts = to_thrusts.copy()
-        sent = np.array([command @ to_thrusts for command in stream.command])
-        readings, commands = self.sizes.lags, self.sizes.all_commands
+    def _over_spans(self, motion: _Motion, spans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Sums over spans that end at these samples, of velocity and of attitude."""
+        sizes = self.sizes
+        velocity = np.zeros((3, *2 * (sizes.lags + sizes.all_commands + 3,)))
+        attitude = np.zeros((3, *2 * (sizes.lags + 3,)))
+        for rows in _in_parts(spans):
+            for total, z in ((velocity, motion.velocity(rows)), (attitude, motion.attitude(rows))):
+                total += np.array([_products(axis) for axis in z])
+        return velocity, attitude
 
-        def before(values: np.ndarray, length: int) -> np.ndarray:
-            return np.vstack([np.tile(values[0], (length, 1)), values])
 
-        return {
-            "forces": (before(stream.specific_force, readings), readings + 1),
-            "rates": (before(stream.state[:, RATE], readings), readings + 1),
-            "thrusts": (before(sent, commands), commands),
-        }
+class _Motion:
+    """Rows of z at samples, of a stream; before the first sample all was as it was then."""
 
-    def _begin_spans(self) -> None:
-        added = [self._rows[name] for name in ("velocity", "attitude")]
-        self.velocity, self.attitude = totals = [np.zeros((3, n, n)) for n in (len(column) + 4 for column in added)]
-        sums = [np.zeros((self.sizes.span + 1, *column.shape)) for column in added]
-        z = [np.asfortranarray(np.vstack([np.zeros((1 + len(column), 3)), np.eye(3)])) for column in added]
-        self._spans = list(zip(added, sums, z, totals, strict=True))
-        self._told = np.zeros((self.sizes.span + 1, 2, 3))
-        self._rotations = np.zeros((self.sizes.span + 1, 3, 3))
-        self._fallen = self.vehicle.gravity * self.sizes.span * self.sizes.period  # m/s in a span
-        self._on_body = z[0].copy(order="F")
+    def __init__(self, stream: Stream, vehicle: Vehicle, sizes: Sizes) -> None:
+        from scipy.spatial.transform import Rotation
 
-    def _add_spans(self, k: int, velocity: np.ndarray) -> None:
-        rows, span = len(self._told), self.sizes.span
-        now, before, first = k % rows, (k - 1) % rows, (k - span) % rows
-        turned = self._told[before, 1] + self._rows["turn"]
-        self._told[now, 0], self._told[now, 1], self._rotations[now] = velocity, turned, self._rows["R"]
-        counts = k >= span + self.sizes.lags
-        for i, (added, sums, z, total) in enumerate(self._spans):
-            np.add(sums[before], added, out=sums[now])
-            if counts:
-                z[0] = self._told[now, i] - self._told[first, i]
-                np.subtract(sums[now], sums[first], out=z[1:-3])
-                if not i:  # velocity: without gravity, on the axes of the body in the middle of the span
-                    z[0, 2] += self._fallen
-                    turned = self._rotations[(k - span + span // 2) % rows].T
-                    np.matmul(z[:-3], turned, out=self._on_body[:-3])
-                    z = self._on_body
-                for axis in range(3):
-                    dger(1.0, z[:, axis], z[:, axis], a=total[axis].T, overwrite_a=True)
+        q = continuous(stream.state[:, ATTITUDE])
+        q = q / np.linalg.norm(q, axis=1, keepdims=True)
+        before = np.concatenate([q[:1], q[:-1]])
+        self._sizes, self._force, self._t = sizes, stream.specific_force, (stream.t - stream.t[0]) / CLOCK
+        self._v, self._w = stream.state[:, VELOCITY], stream.state[:, RATE]
+        self._rotation = Rotation.from_quat(q, scalar_first=True).as_matrix()
+        self._middle = Rotation.from_quat(before + q, scalar_first=True).as_matrix()  # of the period before a sample
+        turn = before[:, :1] * q[:, 1:] - q[:, :1] * before[:, 1:] - np.cross(q[:, 1:], before[:, 1:])
+        self._turned = np.cumsum(2 * turn, axis=0)
+        self._thrust = stream.command.sum(axis=1, keepdims=True) / vehicle.mass
+        self._torque = stream.command @ vehicle.allocation[1:3].T
+        spin = self._w @ vehicle.inertia_matrix
+        self._needed = np.cross(self._w, spin)
+        self._needed[1:] += np.diff(spin, axis=0) / sizes.period
+        v_body = np.einsum("kji,kj->ki", self._rotation, self._v)
+        self._air = np.column_stack([np.ones(len(q)), v_body, np.abs(v_body) * v_body])
+        self._fallen = np.array([0.0, 0.0, vehicle.gravity * sizes.span * sizes.period])  # m/s in a span
+
+    def thrust(self, rows: np.ndarray) -> np.ndarray:
+        s = _before(self._thrust, rows - 1, self._sizes.commands)[..., 0]
+        return np.column_stack([s, s**2, self._t[rows, None] * s, self._air[rows], self._force[rows, 2]])
+
+    def turning(self, rows: np.ndarray, axis: int) -> np.ndarray:
+        p = _before(self._torque[:, axis], rows - 1, self._sizes.commands)
+        return np.column_stack([p, self._air[rows], self._needed[rows, axis]])
+
+    def velocity(self, rows: np.ndarray) -> np.ndarray:
+        """(3, k, ..), on the axes of the body in the middle of the span."""
+        sizes = self._sizes
+        steps = np.arange(rows[0] - sizes.span + 1, rows[-1] + 1)
+        R = self._middle[steps]
+        force = np.einsum("kij,klj->kli", R, _before(self._force, steps, sizes.lags + 1))
+        pushed = _before(self._thrust, steps - 1, sizes.all_commands) * R[:, None, :, 2]
+        sums = self._sums(np.concatenate([force, pushed], axis=1))
+        change = self._v[rows] - self._v[rows - sizes.span] + self._fallen
+        z = np.concatenate([change[:, None], sums], axis=1)
+        on_body = np.einsum("kli,kij->jkl", z, self._rotation[rows - sizes.span + sizes.span // 2])
+        return _with_one(on_body)
+
+    def attitude(self, rows: np.ndarray) -> np.ndarray:
+        """(3, k, ..)."""
+        sizes = self._sizes
+        steps = np.arange(rows[0] - sizes.span + 1, rows[-1] + 1)
+        rates = np.einsum("kij,klj->kli", self._middle[steps], _before(self._w, steps, sizes.lags + 1))
+        turned = self._turned[rows] - self._turned[rows - sizes.span]
+        z = np.concatenate([turned[:, None], self._sums(rates)], axis=1)
+        return _with_one(z.transpose(2, 0, 1))
+
+    def _sums(self, steps: np.ndarray) -> np.ndarray:
+        """Integrals over each span of what holds in each period before a sample, (k + span - 1, ..)."""
+        total = np.cumsum(np.concatenate([np.zeros_like(steps[:1]), self._sizes.period * steps]), axis=0)
+        return total[self._sizes.span :] - total[: -self._sizes.span]
+
+
+def _before(values: np.ndarray, rows: np.ndarray, count: int) -> np.ndarray:
+    """Values at the last `count` samples until each of rows (k,), the newest first, (k, count, ..)."""
+    return values[np.maximum(rows[:, None] - np.arange(count), 0)]
+
+
+def _with_one(z: np.ndarray) -> np.ndarray:
+    return np.concatenate([z, np.ones((*z.shape[:2], 1))], axis=2)
+
+
+def _products(z: np.ndarray) -> np.ndarray:
+    return z.T @ z
+
+
+def _in_parts(rows: np.ndarray) -> list[np.ndarray]:
+    return [part for part in np.split(rows, range(TOGETHER, len(rows), TOGETHER)) if len(part)]
 
 
 def half_of(spans: int) -> int:
@@ -172,41 +200,3 @@ def half_of(spans: int) -> int:
     while spans >= ROUNDS * apart:
         apart *= 2
     return apart * math.ceil(spans / (2 * apart) - 0.5)
-
-
-def _zeros(size: int) -> np.ndarray:
-    return np.zeros((size, size), order="F")
-
-
-@lru_cache(maxsize=8)
-def _row(vehicle: Vehicle, period: float) -> ca.Function:
-    """z of an instant, and what it adds to the sums over spans.
-
-    Inputs: given states x_before, x (13,); forces, rates (3, lags + 1), thrusts (3, all commands), the oldest first: s
-    and p, without the command of now; t. Outputs: thrust, turning_x, turning_y; velocity (3, ..) and attitude
-    (3, lags + 1); turn (3,); R of x (3, 3).
-    """
-    sizes = Sizes(period)
-    lags, m = sizes.lags, sizes.commands
-    shapes = {"x_before": 13, "x": 13, "forces": (3, lags + 1), "rates": (3, lags + 1)}
-    shapes |= {"thrusts": (3, sizes.all_commands), "t": 1}
-    a = named_symbols(ca.SX, shapes)
-    p, q = (unit(a[name][ATTITUDE]) for name in ("x_before", "x"))
-    p = p * ca.sign(ca.dot(p, q))
-    middle = unit(p + q)
-    R = rotation_matrix(middle)
-    turn = 2 * (p[0] * q[1:] - q[0] * p[1:] - ca.cross(q[1:], p[1:]))
-    newest = list(range(sizes.all_commands - 1, -1, -1))
-    s, *torques = (a["thrusts"][i, newest].T for i in range(3))
-    v = rotation_matrix(q).T @ a["x"][VELOCITY]
-    air = ca.vertcat(1, v, abs(v) * v)
-    thrust = ca.vertcat(s[:m], s[:m] ** 2, a["t"] * s[:m], air, a["forces"][2, -1])
-    w, J = a["x"][RATE], ca.DM(vehicle.inertia_matrix)
-    needed = J @ (w - a["x_before"][RATE]) / period + ca.cross(w, J @ w)
-    turning = [ca.vertcat(torques[i][:m], air, needed[i]) for i in range(2)]
-    recent = list(range(lags, -1, -1))
-    velocity = period * ca.horzcat(R @ a["forces"][:, recent], R[:, 2] @ s.T)
-    results = {"thrust": thrust, "turning_x": turning[0], "turning_y": turning[1], "velocity": velocity}
-    results |= {"attitude": period * (R @ a["rates"][:, recent]), "turn": turn}
-    results["R"] = rotation_matrix(q)
-    return named_function("delay_row", a, {name: ca.densify(result) for name, result in results.items()})

@@ -25,18 +25,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from quadexp.compile.backend import BufferedFunction
-from quadexp.compile.symbolic import ca
-from quadexp.names import named
-from quadexp.physics.expression import named_function
-from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.moments import LARGEST_AGE, LARGEST_DEAD_TIME, LARGEST_LAG, N_AIR, Moments, Sizes
-from quadexp.plugins.remedies.sent_commands import INSTANT, SentCommands, command_weights
+from quadexp.plugins.remedies.sent_commands import SentCommands
 
 TINY = 1e-18  # of a mean square: exact data have no noise
 WORTH = 8.0  # log likelihood that one more constant must bring to be real
@@ -50,7 +45,6 @@ STARTS = np.array(np.meshgrid([0.005, 0.02, 0.05], [0.01, 0.04], [0.002, 0.015])
 SMALL_STEP, NEAR = 1e-3, 4e-3  # s, of differences
 CLOSE = 1e-4  # s, at which a descent ends
 LEAST_NOISE = 1e-9  # keeps the logarithm finite where there is no noise
-LEFT = [f"{name}_{what}" for name in ("thrust", "x", "y") for what in ("left", "against")]
 DESCENTS, TRIALS = 12, 4  # steps of a descent, and lengths that are tried for each
 FINE = 400  # parts of a control period to which a shift is found
 # A polynomial of the fourth degree at these parts by its values at five even ones.
@@ -92,11 +86,11 @@ class Search:
     has ended."""
 
     def __init__(self, moments: Moments) -> None:
-        self._evaluate = BufferedFunction(_evaluate(moments.vehicle, moments.sizes.period))
-        self.sizes, self.rates_age, arguments = moments.sizes, 0.0, self._evaluate.arguments
-        for name in ("thrust", "turning_x", "turning_y"):
-            arguments[name].T[...] = getattr(moments, name)
-        arguments["count"][0] = moments.counted
+        self.sizes, self.rates_age, self._count = moments.sizes, 0.0, moments.counted
+        self._sums = moments.thrust, moments.turning_x, moments.turning_y
+        commands = self.sizes.commands
+        self._sent = SentCommands(1, self.sizes.period, (commands - 1) * self.sizes.period)
+        self._remaining: list[np.ndarray] = []
         first, *halves = moments.half
         totals = moments.velocity, moments.attitude
         self._velocity, self._attitude = (
@@ -121,10 +115,27 @@ class Search:
         return np.array([self._velocity.likelihood(float(age)) - estimate for age in ages])
 
     def cost(self, at: np.ndarray) -> float:
-        """Minus the log likelihood of dead time, lag and age of the rates, (3,) (s)."""
-        self._evaluate.arguments["at"][:] = at
-        self._evaluate()
-        return float(self._evaluate.results["cost"][0])
+        """Minus the log likelihood of dead time, lag and age of the rates, (3,) (s). Leaves what remains of the thrust
+        and of the torques as weights b on z, and M b."""
+        dead_time, lag, age = at
+        spans = np.array([[0.0, 0.0], [-self.sizes.period - age, -age]])
+        now, mean = self._sent.weights(spans, dead_time, lag)[:, ::-1, None]  # the newest first
+        self._remaining = []
+        cost = 0.0
+        for sums, weights in zip(self._sums, ([now] * 3, [mean], [mean]), strict=True):
+            columns = block_diag(*weights, np.eye(N_AIR))
+            design = np.vstack([columns, np.zeros(columns.shape[1])])
+            products = sums @ design
+            normal, against = design.T @ products, products[-1]
+            scale = np.sqrt(np.maximum(np.diag(normal), 1e-12))
+            normal = normal / np.outer(scale, scale) + 1e-9 * np.eye(len(normal))
+            c = np.linalg.solve(normal, against / scale) / scale
+            residual = np.append(-(columns @ c), 1.0)
+            along = sums[:, -1] - products @ c
+            square = max(float(residual @ along), 0.0) / self._count
+            cost += self._count * np.log(np.sqrt(square) + LEAST_NOISE)
+            self._remaining += [residual, along]
+        return float(cost)
 
     def _commands(self) -> tuple[list[float], list[float]]:
         """Dead time, lag and the rates' age, and the standard error of each."""
@@ -153,11 +164,11 @@ class Search:
         costs, rows = [], []
         for step in (np.zeros(3), *(SMALL_STEP * np.eye(3)[i] for i in free)):
             costs.append(self.cost(at + step))
-            rows.append([self._evaluate.results[name].copy() for name in LEFT])
+            rows.append(self._remaining)
         gradient, normal = np.zeros(len(free)), np.zeros((len(free), len(free)))
-        for i in range(0, len(LEFT), 2):
+        for i in range(0, len(rows[0]), 2):
             commands, against = (np.array([row[j] for row in rows]) for j in (i, i + 1))
-            square = max(float(commands[0] @ against[0]) / self._evaluate.arguments["count"][0], 0.0)
+            square = max(float(commands[0] @ against[0]) / self._count, 0.0)
             noise = np.sqrt(square) + LEAST_NOISE
             slopes, along = ((rows_of[1:] - rows_of[0]) / (SMALL_STEP * noise) for rows_of in (commands, against))
             gradient += slopes @ against[0] / noise
@@ -209,8 +220,8 @@ class _Spans:
         """Means over the samples of the squares of b' z, (3,), without its mean on each axis: a bias of the sensor is
         no delay."""
         M, count = self._parts[part]
-        n, axes = len(b), np.arange(3)
-        means = M[axes, n + axes, :n] @ b / max(count, 1)
+        n = len(b)
+        means = M[:, n, :n] @ b / max(count, 1)
         return np.maximum(M[:, :n, :n] @ b @ b / max(count, 1) - means**2, 0.0)
 
     def left(self, shift: float) -> np.ndarray:
@@ -270,37 +281,3 @@ def within_periods(sizes: Sizes, dead_time: float, lag: float) -> np.ndarray:
     sent = SentCommands(1, sizes.period, sizes.commands * sizes.period)
     mean, now = sent.weights(np.array([[-sizes.period, 0.0], [0.0, 0.0]]), dead_time, lag)[:, ::-1]
     return mean - (now + np.append(0.0, now[:-1])) / 2
-
-
-@lru_cache(maxsize=8)
-def _evaluate(vehicle: Vehicle, period: float) -> ca.Function:
-    """What candidates leave of thrust and turning.
-
-    Inputs: at (3,): dead time, lag, age of the rates (s); the sums thrust, turning_x, turning_y of Moments, whole
-    matrices; count of samples. Outputs: cost: minus the log likelihood; and what remains of each of the three, as
-    weights b on z, and M b.
-    """
-    m = Sizes(period).commands
-    sizes = {"at": 3, "thrust": 3 * m + N_AIR + 1, "turning_x": m + N_AIR + 1, "turning_y": m + N_AIR + 1, "count": 1}
-    a = {k: ca.MX.sym(k, n, 1 if k in ("at", "count") else n) for k, n in sizes.items()}
-    dead_time, lag, age = ca.vertsplit(a["at"])
-    now = command_weights(m, period, (-INSTANT, 0.0), dead_time, lag)
-    mean = command_weights(m, period, (-period - age, -age), dead_time, lag)
-    weights = ca.Function("weights", [a["at"]], [now, mean])
-    now, mean = weights.expand()(a["at"])
-    cost, lefts = 0, []
-    for name, weights in (("thrust", [now] * 3), ("turning_x", [mean]), ("turning_y", [mean])):
-        columns = ca.diagcat(*weights, ca.DM.eye(N_AIR))
-        M = a[name]
-        design = ca.vertcat(columns, ca.DM.zeros(1, columns.size2()))
-        products = M @ design
-        normal, against = design.T @ products, products[-1, :].T
-        scale = ca.sqrt(ca.fmax(ca.diag(normal), 1e-12))
-        normal = normal / (scale @ scale.T) + 1e-9 * ca.DM.eye(normal.size1())
-        c = ca.solve(normal, against / scale, "ldl") / scale
-        residual = ca.vertcat(-(columns @ c), 1)
-        against_all = M[:, -1] - products @ c
-        square = ca.fmax(ca.dot(residual, against_all), 0) / a["count"]
-        cost += a["count"] * ca.log(ca.sqrt(square) + LEAST_NOISE)
-        lefts += [residual, against_all]
-    return named_function("delay_cost", a, {"cost": cost} | named(LEFT, lefts))

@@ -50,6 +50,7 @@ DAMPING = (-2.0, 25.0)  # 1/s, searched
 HUBER = 1.345  # deviations: 95 % efficiency on normal errors (Huber 1981)
 HORIZONS = (0.1, 0.5, 1.0)  # s
 BETTER = 0.95  # of another error: what is worth naming
+NO_YAW = "yaw: no number to use: motor commands do not tell what the rotors' own inertia turns besides"
 DOES_NOT_SHOW = "this log does not show the torque"
 
 
@@ -59,6 +60,10 @@ class AxisModel(NamedTuple):
     theta: np.ndarray
     damping: float
     motors: bool
+
+    def acceleration(self, columns: np.ndarray, spin: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """w', (n,), of columns (n, p), S (n,) and w (n,)."""
+        return columns @ self.theta - self.damping * spin * rate
 
 
 def band(values: np.ndarray, dt: float, low: float) -> np.ndarray:
@@ -147,7 +152,7 @@ def attitude_errors(turning: Turning, models: Sequence[AxisModel] | None) -> np.
     for step in range(ends[-1]):
         at, change = starts + step, np.zeros_like(rate)
         for axis, model in enumerate(models or ()):
-            change[:, axis] = columns[axis][at] @ model.theta - model.damping * turning.spin[at] * rate[:, axis]
+            change[:, axis] = model.acceleration(columns[axis][at], turning.spin[at], rate[:, axis])
         attitude = attitude * Rotation.from_rotvec(h * (rate + h * change / 2))
         rate = rate + h * change
         if step + 1 in ends:
@@ -217,14 +222,17 @@ def identify_torque(paths: Sequence[Path], vehicle: Vehicle | None, conf: Folder
     if vehicle is None:
         raise UsageError(f"{paths[0]}: its vehicle is not known here, whose arms torque needs; name it: --vehicle NAME")
     data = torque_data(flights, names, vehicle, gather_to_fit(flights, None, names))
-    return judged(data, vehicle) | {"thrust": str(data.curve), "vehicle": vehicle.name}
+    report = judged(data, vehicle) | {"thrust": str(data.curve), "vehicle": vehicle.name}
+    if data.curve.signal == "motor_command":
+        report["lines"].append(NO_YAW)
+    return report
 
 
 def torque_gain(data: TorqueData, vehicle: Vehicle) -> TorqueGain:
     """Beside the vehicle file, for a model that is stored."""
     inertia = np.diag(vehicle.inertia_matrix)
     ratio, low, high = np.array(gains(data.variants)).T * inertia
-    return TorqueGain(ratio, low, high)
+    return TorqueGain(ratio, low, high, data.curve.signal == "motor_command")
 
 
 def judged(torque: TorqueData, vehicle: Vehicle) -> dict[str, Any]:

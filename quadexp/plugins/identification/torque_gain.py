@@ -44,16 +44,22 @@ class Gain(NamedTuple):
 
 
 class TorqueGain(Record, frozen=True):
-    """Torque about each axis over that of the vehicle file's arms and inertia, with its 95 % interval."""
+    """Torque about each axis over that of the vehicle file's arms and inertia, with its 95 % interval.
+
+    of_commands: of a log of motor commands, whose yaw is not that of a drag coefficient: it is the rotors' own inertia
+    that turns the vehicle first, and 0.08 of the drag's torque was read where the truth is 1.
+    """
 
     ratio: Three
     low: Three
     high: Three
+    of_commands: bool = False
 
     @property
     def is_known(self) -> np.ndarray:
         """Whether the flights show it to KNOWN, (3,)."""
-        return (self.ratio > 0) & (self.high - self.low < 2 * KNOWN * self.ratio)
+        told = np.array([True, True, not self.of_commands])
+        return told & (self.ratio > 0) & (self.high - self.low < 2 * KNOWN * self.ratio)
 
     @property
     def used(self) -> list[float | None]:
@@ -72,7 +78,12 @@ class TorqueGain(Record, frozen=True):
         parts = []
         for row in self.record():
             text = f"{row['axis']} {row['ratio']:.3g} [{row['low']:.3g}, {row['high']:.3g}]"
-            parts.append(text + ("" if row["used"] else " (not shown well enough: the file's is used)"))
+            why = (
+                "motor commands do not tell it"
+                if row["axis"] == "yaw" and self.of_commands
+                else "not shown well enough"
+            )
+            parts.append(text if row["used"] else f"{text} ({why}: the file's is used)")
         return f"over that of the vehicle file's arms and inertia (arm c / J), 95 %: {', '.join(parts)}"
 
 

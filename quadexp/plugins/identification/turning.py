@@ -35,12 +35,7 @@ class Turning(NamedTuple):
 
     def columns(self, axis: int, *, motors: bool = True) -> np.ndarray:
         """Torque (with motors), one and flapping, (k - 1, p)."""
-        parts = [self.torque[:, axis]] if motors else []
-        parts.append(np.ones(len(self.spin)))
-        other = OTHER[axis]
-        if other is not None:
-            parts.append(self.spin * self.velocity[:, other])
-        return np.column_stack(parts)
+        return regressors(axis, self.torque if motors else None, self.spin, self.velocity)
 
     def damped(self, axis: int) -> np.ndarray:
         """-S w, (k - 1,)."""
@@ -51,6 +46,16 @@ class Turning(NamedTuple):
         inner = slice(first, last - 1)
         rows = {name: getattr(self, name)[inner] for name in ("torque", "spin", "velocity")}
         return self._replace(rate=self.rate[first:last], attitude=self.attitude[first:last], **rows)
+
+
+def regressors(axis: int, torque: np.ndarray | None, spin: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Torque (unless None), one and flapping S v of an axis, (n, p), of torque and velocity (n, 3) and S (n,)."""
+    parts = [] if torque is None else [torque[:, axis]]
+    parts.append(np.ones(len(spin)))
+    other = OTHER[axis]
+    if other is not None:
+        parts.append(spin * velocity[:, other])
+    return np.column_stack(parts)
 
 
 def turnings(rows: FlightRows, curve: ThrustCurve, vehicle: Vehicle, flight: int, mean_speed: float) -> list[Turning]:

@@ -75,8 +75,8 @@ _PATTERNS: list[tuple[str, re.Pattern[str]]] = [
     ("euler", re.compile(_W + r"(roll|pitch|yaw|heading)")),
     ("wind", re.compile(_W + r"(?:wind|vwind|wind_?speed|wind_?vel)" + _A)),
     ("rate", re.compile(
-        _W + r"(?:w|omega|om|gyro|gyr|gyr?oadc|gyro_rad|gyrounfilt|gyro_filt|ang[ ._]?vel|angular[ ._]?velocity|angvel"
-        r"|rate|rates|body_?rates?|w_rs_s|xyz|angular|bodyrate|ang_rate)" + _A)),
+        _W + r"(?:w|g|omega|om|gyro|gyr|gyr?oadc|gyro_rad|gyrounfilt|gyro_filt|ang[ ._]?vel|angular[ ._]?velocity"
+        r"|angvel|rate|rates|body_?rates?|w_rs_s|xyz|angular|bodyrate|ang_rate)" + _A)),
     ("rate", re.compile(_W + r"(rollspeed|pitchspeed|yawspeed|roll_?rate|pitch_?rate|yaw_?rate)")),
     ("velocity", re.compile(_W + r"([xyz])[._ ]?dot")),
     ("velocity", re.compile(_W + r"(?:v|vel|velocity|speed|v_rs_r|twist[._/]linear|linear_velocity|lin_vel"

@@ -27,7 +27,7 @@ from quadexp.log.schema import Flight
 from quadexp.models.dataset import WIND, name_of
 from quadexp.models.residual import VELOCITY
 from quadexp.physics.state import norms
-from quadexp.plugins.logs.command_lag import find_lag, lagged
+from quadexp.plugins.logs.command_lag import CommandLag, find_lag, lagged
 
 # In order of preference for the thrust.
 SIGNALS = {"rotor_speed": "rad/s", "motor_command": "1", "thrust_acceleration": "m/s^2", "u": "N"}
@@ -84,6 +84,10 @@ class Samples:
             return self
         signal = late_signal(self.time, self.segment, self.signal, delay, lag, held=self.held)
         return replace(self, signal=signal, delay=self.delay + delay, lag=self.lag + lag)
+
+    def command_lag(self) -> CommandLag | None:
+        """How late the specific force is behind the signal; see command_lag.find_lag."""
+        return find_lag(self.time, self.segment, self.signal, self.force[:, 2], self.velocity, self.held)
 
     def during(self, values: np.ndarray) -> np.ndarray:
         """Values (k, n) of the signal, over the interval that begins at each sample."""
@@ -168,7 +172,7 @@ def gather_to_fit(flights: Sequence[Flight], signal: str | None = None, names: S
     samples = gather(flights, choose_signal(flights, signal), names)
     if samples.kind not in COMMANDS:
         return samples
-    late = find_lag(samples.time, samples.segment, samples.signal, samples.force[:, 2], samples.velocity, samples.held)
+    late = samples.command_lag()
     if late is None or not late.late:
         return samples
     first = samples.time[np.searchsorted(samples.segment, samples.segment)]

@@ -17,7 +17,6 @@ The toolbox compares row i of a prediction with row i + h - 1 of the truth, so i
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,6 +25,7 @@ import numpy as np
 
 from quadexp.errors import DataError, UsageError
 from quadexp.names import sha256_of
+from quadexp.plugins.logs.importers.table import open_table
 
 PERIOD = 0.01  # s, of the benchmark
 STEPS = 50  # of a prediction, of the benchmark
@@ -35,7 +35,6 @@ SPEEDS = ("m1_rads", "m2_rads", "m3_rads", "m4_rads")
 PARTS = {"p": slice(0, 3), "v": slice(3, 6), "R": slice(6, 10), "w": slice(10, 13)}
 UNITS = {"p": "m", "v": "m/s", "R": "rad", "w": "rad/s"}
 TEST = "melon"  # the trajectory that nothing may be fitted to
-POINTER = b"version https://git-lfs"
 SOURCE = "data.zip of the release v1.0 of github.com/idsia-robotics/nanodrone-sysid-benchmark, unpacked"
 
 # Table of Busetto et al. 2026: at 1, 10 and 50 steps, and the sum over 1 .. 50; averaged as `paper`.
@@ -105,22 +104,10 @@ def read(folder: Path | None) -> Runs:
 
 
 def _run(path: Path) -> Run:
-    content = path.read_bytes()
-    if content.startswith(POINTER):
-        raise DataError(f"{path}: is a pointer of Git LFS, not the data: run `git lfs pull`, or take {SOURCE}")
-    rows = csv.reader(content.decode(errors="replace").splitlines())
-    names = next(rows, [])
-    missing = [name for name in (*STATES, *SPEEDS) if name not in names]
-    if missing:
-        raise DataError(f"{path}: no column {missing[0]!r}, so it is no run of the benchmark")
-    chosen = [names.index(name) for name in (*STATES, *SPEEDS)]
-    try:
-        values = np.array([[float(row[i]) for i in chosen] for row in rows], dtype=float)
-    except (ValueError, IndexError):
-        raise DataError(f"{path}: a row has other than numbers in the columns of state and rotor speeds") from None
+    values = np.column_stack(list(open_table(path).read((*STATES, *SPEEDS), []).values()))
     if len(values) <= STEPS or not np.isfinite(values).all():
         raise DataError(f"{path}: {len(values)} rows, or values that are not finite; a run has more than {STEPS} rows")
-    return Run(path.stem, values[:, : len(STATES)], values[:, len(STATES) :], sha256_of(content))
+    return Run(path.stem, values[:, : len(STATES)], values[:, len(STATES) :], sha256_of(path.read_bytes()))
 
 
 def errors(runs: Sequence[Run], predictions: Sequence[np.ndarray], *, as_paper: bool = False) -> dict[str, np.ndarray]:

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from quadexp.models.regression import solve
 from quadexp.plugins.identification.torque import AxisModel, output_error
-from quadexp.plugins.identification.turning import OTHER, Turning
+from quadexp.plugins.identification.turning import Turning, regressors
 from quadexp.plugins.public.nanodrone import PARTS, PERIOD, STATES, STEPS, Run
 
 GRAVITY = 9.81  # m/s^2
@@ -104,14 +104,9 @@ def predicted(run: Run, force: Force, axes: Sequence[AxisModel] | None, speed: f
         body = attitude.apply(velocity, inverse=True)
         change = np.zeros_like(rate)
         for axis, model in enumerate(axes or ()):
-            columns = [inputs_of_run.torque[now, axis]] if model.motors else []
-            columns.append(np.ones(len(now)))
-            other = OTHER[axis]
-            if other is not None:
-                columns.append(inputs_of_run.spin[now] * body[:, other])
-            change[:, axis] = (
-                np.column_stack(columns) @ model.theta - model.damping * inputs_of_run.spin[now] * rate[:, axis]
-            )
+            torque = inputs_of_run.torque[now] if model.motors else None
+            columns = regressors(axis, torque, inputs_of_run.spin[now], body)
+            change[:, axis] = model.acceleration(columns, inputs_of_run.spin[now], rate[:, axis])
         turn = PERIOD * (rate + PERIOD * change / 2)
         push = -force.drag * body
         push[:, 2] += force.thrust * inputs_of_run.thrusts[now].sum(axis=1)

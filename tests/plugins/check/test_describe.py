@@ -119,6 +119,47 @@ def test_without_a_path_an_accelerometer_is_not_said_to_be_in_the_world(truth, t
     assert "corrections" not in found.fields
 
 
+@pytest.mark.parametrize("sensor", ["acc", "w"])
+def test_one_sensor_is_in_frd(truth, tmp_path, sensor):
+    """The other one, attitude and path are in FLU and ENU: no frame of all of them explains the log."""
+    log = columns_of(truth) | logs._named("qw|qx|qy|qz", truth.q)
+    log |= {f"{sensor}_{axis}": -log[f"{sensor}_{axis}"] for axis in "yz"}
+    found, flight = imported(logs.write_csv(tmp_path / "a.csv", log), tmp_path)
+    assert (found.fields["world"].value, found.fields["body"].value) == ("ENU", "FLU")
+    np.testing.assert_allclose(flight.stack(["acc_x", "acc_y", "acc_z"]), truth.acc, atol=2e-5)
+    np.testing.assert_allclose(flight.stack(["w_x", "w_y", "w_z"]), truth.w, atol=2e-5)
+
+
+def test_gravity_taken_out_of_a_fast_flight(truth, tmp_path):
+    """Its mean size is as large as gravity."""
+    log = columns_of(truth) | logs._named("qw|qx|qy|qz", truth.q)
+    motion = truth.R.apply(3 * truth.R.apply(truth.acc) - [0, 0, 3 * G], inverse=True)
+    log |= {f"acc_{axis}": motion[:, i] for i, axis in enumerate("xyz")}
+    log |= {f"{name}_{axis}": 3 * log[f"{name}_{axis}"] for name in "pv" for axis in "xyz"}
+    found = describe_log(logs.write_csv(tmp_path / "a.csv", log))
+    assert found.fields["acceleration"].value["kind"] == "coordinate"
+    assert "frame" not in found.fields["acceleration"].value
+
+
+def test_a_quaternion_whose_columns_are_not_what_they_are_called(truth, tmp_path):
+    """qw, qx, qy, qz hold x, y, z, w."""
+    log = columns_of(truth) | logs._named("qw|qx|qy|qz", truth.q[:, [1, 2, 3, 0]])
+    found, flight = imported(logs.write_csv(tmp_path / "a.csv", log), tmp_path)
+    assert found.fields["attitude"].value["order"] == "xyzw" and "corrections" not in found.fields
+    got = Rotation.from_quat(flight.stack([f"q_{axis}" for axis in "wxyz"]), scalar_first=True)
+    assert (truth.R.inv() * got).magnitude().max() < 1e-5
+
+
+def test_what_nothing_explains_is_no_sure_proposal(truth, tmp_path):
+    """An accelerometer of another flight."""
+    log = columns_of(truth) | logs._named("qw|qx|qy|qz", truth.q)
+    other = Rotation.from_euler("xyz", np.column_stack([3 * truth.t, 2 * truth.t, truth.t])).apply(truth.acc)
+    log |= {f"acc_{axis}": 2 * other[:, i] for i, axis in enumerate("xyz")}
+    found = describe_log(logs.write_csv(tmp_path / "a.csv", log))
+    for key in ("world", "body"):
+        assert found.fields[key].sureness == "guess" and "acc" in found.fields[key].why
+
+
 def test_an_attitude_at_ten_hertz(tmp_path):
     """Smoothing shortens a quaternion that turns fast; it is one all the same."""
     f = logs.truth(60.0, 10.0)
@@ -150,6 +191,15 @@ def test_signs_of_roll_pitch_and_yaw_that_wraps(truth, tmp_path, signs):
     got = Rotation.from_quat(flight.stack([f"q_{axis}" for axis in "wxyz"]), scalar_first=True)
     assert found.fields["attitude"].sureness == "sure" and "corrections" not in found.fields
     assert ((turn * truth.R).inv() * got).magnitude().max() < 1e-5
+
+
+def test_a_yaw_in_degrees_beside_roll_and_pitch_in_rad(truth, tmp_path):
+    angles = truth.R.as_euler("ZYX")[:, ::-1] * [1.0, -1.0, 180 / np.pi]  # and a pitch that is positive nose up
+    log = columns_of(truth) | {name: angles[:, i] for i, name in enumerate(("roll", "pitch", "yaw"))}
+    found, flight = imported(logs.write_csv(tmp_path / "a.csv", log), tmp_path)
+    assert found.fields["attitude"].value["unit"] == "rad"
+    got = Rotation.from_quat(flight.stack([f"q_{axis}" for axis in "wxyz"]), scalar_first=True)
+    assert (truth.R.inv() * got).magnitude().max() < 1e-4
 
 
 @pytest.mark.parametrize("rows", [1990, 1991])

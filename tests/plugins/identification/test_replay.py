@@ -144,3 +144,16 @@ def test_what_cannot_be_used_is_refused_in_one_line(folder, tmp_path):
     done = CliRunner().invoke(app, ["replay-test", str(folder / "eight.parquet"), str(tmp_path / "none")])
     assert done.exit_code == 2
     assert done.stderr.strip().splitlines()[-1].startswith(f"error: {tmp_path / 'none'}: no model there")
+
+
+def test_the_track_of_a_log_that_turns_on_and_on_is_read_back(tmp_path):
+    """Its heading is written within half a turn of zero, where it cannot be taken for degrees."""
+    from quadexp.plugins.identification.replay import write_track
+    from quadexp.plugins.identification.replay_log import LoggedPath
+    from quadexp.plugins.logs.from_file import read_positions
+
+    t = np.arange(100) / 10
+    heading = 2.0 * t
+    point = np.column_stack([t, np.sin(t), 1 + 0 * t])
+    write_track(tmp_path / "a.csv", LoggedPath(t, point, None, heading, np.zeros((100, 3)), np.zeros((100, 4)), None))
+    assert read_positions(tmp_path / "a.csv").yaw == pytest.approx(heading, abs=1e-8)

@@ -81,6 +81,15 @@ def test_a_plant_turns_by_it_where_it_is_known():
     assert residual(np.r_[np.zeros(6), u])[0, 3:] == pytest.approx([0.2 * by_file[0], -0.1 * by_file[1], 0.0])
 
 
+def test_the_yaw_of_motor_commands_is_not_taken():
+    """However narrow its interval: the rotors' own inertia turns the vehicle too."""
+    numbers = np.array([1.2, 0.9, 0.08]), np.array([1.1, 0.8, 0.079]), np.array([1.3, 1.0, 0.081])
+    assert TorqueGain(*numbers).used == [1.2, 0.9, 0.08]
+    of_commands = TorqueGain(*numbers, of_commands=True)
+    assert of_commands.used == [1.2, 0.9, None]
+    assert "yaw 0.08 [0.079, 0.081] (motor commands do not tell it: the file's is used)" in str(of_commands)
+
+
 @pytest.mark.parametrize("factor", [0.8, 1.5, *slow(1.25)])
 def test_another_inertia_is_found_and_flown(tmp_path, factor):
     """The vehicle file's inertia is wrong by this factor: gain 1 / factor, in the model that identify stores."""

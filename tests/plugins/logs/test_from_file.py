@@ -253,3 +253,7 @@ def test_degrees_of_a_heading_are_recognised(written, name, heading):
 def test_a_heading_that_says_no_unit_is_refused(written):
     with pytest.raises(DataError, match=r"yaw reaches 90, 14\.3 turns in rad: name the column yaw_deg"):
         heading_track(written, "yaw", lambda a: 90 * np.cos(5 * a), lambda t: 0.2 * t)
+    with pytest.raises(
+        DataError, match=r"7\.\d+ turns in rad: name the column yaw_deg"
+    ):  # or a nose that turns by 45 deg
+        heading_track(written, "yaw", lambda a: 45 * a / a[-1], lambda t: 0.2 * t)

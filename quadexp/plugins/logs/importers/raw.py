@@ -9,6 +9,7 @@ A stream's time is the log's own (s), its values are (k, m).
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,9 +23,11 @@ from quadexp.physics.vehicle import GRAVITY
 from quadexp.plugins.logs.importers.mapping import IN_BODY, Crop, Entry, Mapping
 from quadexp.plugins.logs.importers.table import Table
 from quadexp.plugins.logs.signal import Stream, increasing
-from quadexp.plugins.logs.signal.windows import multiply
+from quadexp.plugins.logs.signal.windows import rotations
 
 MOST_LATE = 0.01  # share of the rows that may lie out of order
+MEASURED = ("position", "attitude", "velocity", "rate", "acceleration")
+REGULAR, LEAST_CHANGES = 0.9, 20  # share of the changes that come evenly; changes
 
 
 @dataclass
@@ -63,7 +66,8 @@ def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes
     if len(back) and lost > max(2, MOST_LATE * len(t)):
         row = int(back[0]) + 1
         text = f"({t[row - 1]:.9g} -> {t[row]:.9g} s; {lost} of {len(t)} rows are out of order)"
-        raise DataError(f"{path}: {name}: time goes backwards at row {row} {text}")
+        way = "sort its rows by time, or cut the log there if its clock was set anew"
+        raise DataError(f"{path}: {name}: time goes backwards at row {row} {text}: {way}")
     if lost:
         what = "repeat a time or go back in it" if len(back) else "repeat the time of the row before"
         notes.append(f"{name}: {lost} of {len(t)} rows ({lost / len(t):.1%}) {what}: dropped")
@@ -74,6 +78,29 @@ def sorted_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, note
     """As clean_stream, of rows that may lie out of order: they are put into the order of their times."""
     order = np.argsort(t, kind="stable")
     return clean_stream(path, name, t[order], values[order], notes)
+
+
+def without_repeats(name: str, stream: Stream, notes: list[str]) -> Stream:
+    """A stream that is slower than its table, which repeats every value until the next one comes: on its own clock,
+    else what is derived from it goes in steps. What was left out is noted.
+
+    They come evenly: those of a coarse sensor, or of a vehicle that stands, do not. (Where the table's rate is no
+    multiple of the stream's, the times of its values are not known to a row, and it stays as it is.)
+    """
+    t, values = stream
+    changes = np.flatnonzero((values[1:] != values[:-1]).any(axis=1)) + 1
+    if len(changes) < LEAST_CHANGES:
+        return stream
+    apart = np.diff(changes)
+    every = int(np.median(apart))
+    if every < 2 or np.mean(apart == every) < REGULAR:
+        return stream
+    first = np.concatenate([[0], changes])
+    since = np.arange(len(t)) - np.repeat(first, np.diff(np.append(first, len(t))))
+    kept = since % every == 0  # what stands still for longer is no gap
+    rate = 1 / (every * float(np.median(np.diff(t))))
+    notes.append(f"{name}: each value stands for {every} rows: taken as a stream of {rate:.3g} Hz")
+    return Stream(t[kept], values[kept])
 
 
 def read_mapped(table: Table, mapping: Mapping) -> RawLog:
@@ -90,6 +117,8 @@ def read_mapped(table: Table, mapping: Mapping) -> RawLog:
             t = t * clock.factor
         values = np.column_stack([columns[column] for column in entry.columns])
         stream = clean_stream(table.path, f"{name} ({', '.join(entry.columns)})", t, values, notes)
+        if name in MEASURED:
+            stream = without_repeats(name, stream, notes)
         log.streams[name] = _convert(name, entry, stream)
         later = {mapping.clock.column}
         for other in list(mapping.entries.values())[i + 1 :]:
@@ -139,11 +168,13 @@ def _attitude(entry: Entry, values: np.ndarray) -> np.ndarray:
         q = q * np.array([1.0, -1.0, -1.0, -1.0])
     q = turn_attitude(q, entry.world, entry.axes)
     if min(entry.angles) < 0:
-        yaw, pitch, roll = Rotation.from_quat(q, scalar_first=True).as_euler("ZYX").T
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # nose straight up: yaw and roll are one angle
+            yaw, pitch, roll = Rotation.from_quat(q, scalar_first=True).as_euler("ZYX").T
         angles = np.column_stack([yaw, pitch, roll]) * np.array(entry.angles[::-1])
         q = Rotation.from_euler("ZYX", angles).as_quat(scalar_first=True)
     if entry.turn:
-        q = multiply(np.array([np.cos(entry.turn / 2), 0.0, 0.0, np.sin(entry.turn / 2)]), q)
+        q = norms(q)[:, None] * (Rotation.from_euler("z", entry.turn) * rotations(q)).as_quat(scalar_first=True)
     return q
 
 
@@ -156,9 +187,8 @@ def turn_attitude(q: np.ndarray, world: np.ndarray, body: np.ndarray) -> np.ndar
         mirror = np.diag([1.0, 1.0, -1.0])
         mirrored = q * np.array([1.0, -1.0, -1.0, 1.0])
         return turn_attitude(mirrored, world @ mirror, body @ mirror)
-    w = Rotation.from_matrix(world).as_quat(scalar_first=True)
-    b = Rotation.from_matrix(body.T).as_quat(scalar_first=True)
-    return multiply(multiply(w, q), b)
+    turned = Rotation.from_matrix(world) * rotations(q) * Rotation.from_matrix(body.T)
+    return norms(q)[:, None] * turned.as_quat(scalar_first=True)
 
 
 def _turned_to_frame(streams: dict[str, Stream], entries: dict[str, Entry]) -> dict[str, Stream]:

@@ -79,7 +79,7 @@ def kind_of(path: Path, head: bytes) -> str:
 def open_table(path: Path) -> Table:
     """The table in a file. Raises DataError."""
     with open(path, "rb") as file:
-        kind = kind_of(path, file.read(16))
+        kind = kind_of(path, file.read(64))
     return {"hdf5": _open_hdf5, "parquet": _open_parquet}.get(kind, _open_text)(path)
 
 

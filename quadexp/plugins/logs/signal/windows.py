@@ -18,12 +18,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from quadexp.log.schema import Flight
 from quadexp.physics.vehicle import GRAVITY
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 WINDOW = 0.1  # s
 MOST_WINDOWS = 400  # spread over the flight: more do not change a verdict
@@ -78,11 +81,7 @@ class Windows:
     @cached_property
     def rotation(self) -> np.ndarray:
         """R(q), (n, 2m + 1, 3, 3); where q is zero, the identity."""
-        from scipy.spatial.transform import Rotation
-
-        q = self.streams["q"].reshape(-1, 4)
-        turn = Rotation.from_quat(np.where(q.any(axis=1, keepdims=True), q, [1.0, 0.0, 0.0, 0.0]), scalar_first=True)
-        return turn.as_matrix().reshape(*self.t.shape, 3, 3)
+        return rotations(self.streams["q"]).as_matrix().reshape(*self.t.shape, 3, 3)
 
     def every(self, step: int) -> Windows:
         """Every step-th window."""
@@ -138,7 +137,7 @@ def pairs(windows: Windows, touching: str = "tpqvwf") -> list[Pair]:
     if p is not None and v is not None and wanted("velocity"):
         known.append(Pair("velocity", changes(t, p), means(t, v)))
     if q is not None and w is not None and wanted("rate"):
-        known.append(Pair("rate", _weighted(t, attitude_rate(t, q)), means(t, w)))
+        known.append(Pair("rate", weighted(t, attitude_rate(t, q)), means(t, w)))
     if f is not None and wanted("push"):
         read = means(t, f)
         known.append(Pair("push", np.abs(read) * UP + read * (1 - UP), read))
@@ -178,7 +177,7 @@ def halves(t: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
 
 def means(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Means of x (n, l, m) over both halves of the windows by the trapezoidal rule, (2n, m)."""
-    return _weighted(t, (x[:, 1:] + x[:, :-1]) / 2)
+    return weighted(t, (x[:, 1:] + x[:, :-1]) / 2)
 
 
 def changes(t: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -186,34 +185,23 @@ def changes(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.concatenate([(x[:, b] - x[:, a]) / (t[:, b] - t[:, a])[:, None] for a, b in halves(t)])
 
 
-def _weighted(t: np.ndarray, x: np.ndarray) -> np.ndarray:
+def weighted(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Means over both halves of what is given between the samples, (n, l - 1, m)."""
     weight = np.diff(t, axis=1)[..., None]
     parts = [slice(a, b) for a, b in halves(t)]
     return np.concatenate([np.sum(x[:, s] * weight[:, s], axis=1) / np.sum(weight[:, s], axis=1) for s in parts])
 
 
-def _normed(q: np.ndarray) -> np.ndarray:
-    return q / np.maximum(np.linalg.norm(q, axis=-1, keepdims=True), 1e-12)
+def rotations(q: np.ndarray) -> Rotation:
+    """R(q) of q (..., 4), w first, one after the other; where q is zero, the identity."""
+    from scipy.spatial.transform import Rotation
 
-
-def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Hamilton product of quaternions (..., 4), w first."""
-    aw, ax, ay, az = np.moveaxis(a, -1, 0)
-    bw, bx, by, bz = np.moveaxis(b, -1, 0)
-    w = aw * bw - ax * bx - ay * by - az * bz
-    x = aw * bx + ax * bw + ay * bz - az * by
-    y = aw * by - ax * bz + ay * bw + az * bx
-    z = aw * bz + ax * by - ay * bx + az * bw
-    return np.stack([w, x, y, z], axis=-1)
+    q = q.reshape(-1, 4)
+    return Rotation.from_quat(np.where(q.any(axis=1, keepdims=True), q, [1.0, 0.0, 0.0, 0.0]), scalar_first=True)
 
 
 def attitude_rate(t: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Body rate between neighbouring samples of an attitude, (..., l - 1, 3) (rad/s), of t (..., l), q (..., l, 4)."""
-    q = _normed(q)
-    turn = multiply(q[..., :-1, :] * np.array([1, -1, -1, -1]), q[..., 1:, :])
-    turn = turn * np.where(turn[..., :1] < 0, -1, 1)
-    sine = np.linalg.norm(turn[..., 1:], axis=-1, keepdims=True)
-    angle = 2 * np.arctan2(sine, turn[..., :1])
-    scale = np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)
-    return scale * turn[..., 1:] / np.diff(t, axis=-1)[..., None]
+    turn = (rotations(q[..., :-1, :]).inv() * rotations(q[..., 1:, :])).as_rotvec()
+    step = np.diff(t, axis=-1)[..., None]
+    return turn.reshape(*step.shape[:-1], 3) / step

@@ -120,3 +120,12 @@ def test_a_quaternion_that_is_none_is_left_out():
         interpolate(t, turned, at, sphere=True), interpolate(t, whole, at, sphere=True), atol=1e-12
     )
     assert np.isnan(interpolate(t, np.zeros((5, 4)), at, sphere=True)).all()
+
+
+def test_the_new_clock_is_that_of_commands_as_fast(rng):
+    """Motion begins 4 ms after a command: on its own clock every command would be 4 ms older than it says."""
+    t = np.arange(500) / 100
+    command, motion = rng.normal(size=(500, 1)), np.sin(t)[:, None]
+    found = resample({"p": (t + 0.004, motion), "motor_command": (t, command)}, 100.0, held=("motor_command",))
+    np.testing.assert_allclose(found.t, t[1:], atol=1e-12)
+    assert np.array_equal(found.values["motor_command"], command[1:])
