@@ -205,12 +205,13 @@ def build_loop(config: Config, model: ModelFile | None) -> Loop:
     plant = build_world(config, vehicle)
     check_remedies(config, vehicle, plant)
     controller = build_controller(config, vehicle, plant, model)
-    margins = {"unknown": "no installed plug-in computes margins"}
-    if (loop_margins := brought("services", "loop_margins")) is not None:
-        margins = loop_margins(controller, plant)
-        if unstable := service("instability", "margins")(config, margins, vehicle, plant, model):
-            raise InfeasibleError(unstable)
-    return Loop(vehicle, plant, controller, margins)
+    loop_margins = brought("services", "loop_margins")
+    if loop_margins is None:
+        return Loop(vehicle, plant, controller, {"unknown": "no installed plug-in computes margins"})
+    loop = Loop(vehicle, plant, controller, loop_margins(controller, plant))
+    if unstable := service("instability", "margins")(config, loop, model):
+        raise InfeasibleError(unstable)
+    return loop
 
 
 def fly_one(

@@ -114,18 +114,25 @@ def margin_line(margins: Mapping[str, Any] | None) -> str:
         return ""
     if why := margins.get("unknown"):
         return f"what it tolerates is not known: {why}"
+    where = _judged(margins)
     if not margins["delay"]:
-        return "is not stable at hover"
+        return f"is not stable {where}"
     delay = _milliseconds(margins["delay"])
     lag = _milliseconds(margins["lag"])
-    return f"tolerates {delay} more of delay, {lag} more of motor lag (at hover)"
+    return f"tolerates {delay} more of delay, {lag} more of motor lag ({where})"
 
 
 def world_note(margins: Mapping[str, Any]) -> str:
     """That a loop was flown which is not stable; "" where it is."""
     if margins.get("delay", 1.0):
         return ""
-    return f"the loop is not stable at hover: an error doubles every {math.log(2) / margins['growth']:.2g} s"
+    doubles = f"an error doubles every {math.log(2) / margins['growth']:.2g} s"
+    return f"the loop is not stable {_judged(margins)}: {doubles}"
+
+
+def _judged(margins: Mapping[str, Any]) -> str:
+    """What a loop was judged as."""
+    return ", ".join(filter(None, ("at hover", margins.get("judged"))))
 
 
 def _milliseconds(time: float) -> str:

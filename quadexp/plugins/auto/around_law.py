@@ -45,6 +45,8 @@ LONGEST = BANK.largest_dead_time + BANK.largest_lag  # s, that a law is given ah
 class AutoLaw(Auto):
     """A law, which is given the state and the reference of the time at which its command acts."""
 
+    judged = "with the delays found"
+
     def __init__(self, core: Any, sensor_spec: SensorSpec) -> None:
         vehicle, backend, air = core.vehicle, core.backend, no_residual(core.vehicle)
         world = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}  # assumed, for the predictions

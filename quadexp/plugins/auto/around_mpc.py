@@ -30,6 +30,8 @@ from quadexp.plugins.remedies.sent_commands import INSTANT
 class AutoMPC(Auto):
     """The MPC plans in the world that is assumed; its grid and weights are one of DECISION.grids."""
 
+    judged = "with the stiffest horizon that it may choose"
+
     def __init__(self, core: PredictiveController, sensor_spec: SensorSpec) -> None:
         core.targets = speeds_tell(core.vehicle, sensor_spec)  # else of next to no weight beside that of the position
         numbers, mpc = core.believed_numbers, core.mpc

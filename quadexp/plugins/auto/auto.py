@@ -64,6 +64,7 @@ class Auto(WrappedController):
     """
 
     delay = 0.0  # of a flight that begins
+    judged = ""  # what its margins are of
 
     def __init__(
         self,
@@ -149,6 +150,10 @@ class Auto(WrappedController):
             memory.begin(values)
         self._bank.sums.begin({})
         self._filter.assume_nothing()
+
+    def looks_for(self, age: float, dead_time: float, lag: float) -> bool:
+        """Whether these delays (s) are among those that it can find."""
+        return age <= BANK.largest_age and dead_time <= BANK.largest_dead_time and lag <= BANK.largest_lag
 
     @contextmanager
     def settled(self, age: float, dead_time: float, lag: float) -> Iterator[None]:

@@ -25,7 +25,6 @@ from quadexp.experiment.build import build_controller, build_trajectory, build_v
 from quadexp.experiment.identity import ModelFile
 from quadexp.parts.schema import Config
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
-from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.margins.linear_loop import LinearLoop
 from quadexp.plugins.margins.linearised import SETTLING, UnknownLoopError, linear_loop
 
@@ -46,13 +45,16 @@ _known: WeakKeyDictionary[Any, WeakKeyDictionary[Any, dict[str, Any]]] = WeakKey
 
 
 def loop_margins(controller: Any, plant: Any) -> dict[str, Any]:
-    """{growth, delay, lag} of the loop at hover, see `margins`; {unknown: why} where it cannot be linearised.
+    """{growth, delay, lag} of the loop at hover, see `margins`; {unknown: why} where it cannot be linearised. judged:
+    as what, of a controller that finds out in flight.
 
     Both begin a flight anew afterwards."""
     known = _known.setdefault(controller, WeakKeyDictionary())
     if plant not in known:
         try:
             known[plant] = margins(hover_loop(controller, plant))
+            if judged := getattr(controller, "judged", ""):
+                known[plant]["judged"] = judged
         except UnknownLoopError as error:
             known[plant] = {"unknown": str(error)}
     return known[plant]
@@ -63,8 +65,13 @@ def _settled(controller: Any, plant: Any) -> Any:
     is judged, not that of its first instants, in which nothing is known yet."""
     if not hasattr(controller, "settled"):
         return nullcontext()
+    return controller.settled(*_delays(plant))
+
+
+def _delays(plant: Any) -> tuple[float, float, float]:
+    """Age of the state, dead time and lag of a plant (s)."""
     late, lag, age = (float(getattr(plant, name, 0.0)) for name in ("loop_delay", "loop_lag", "age"))
-    return controller.settled(age, late - age, lag)
+    return age, late - age, lag
 
 
 def hover_loop(controller: Any, plant: Any) -> LinearLoop:
@@ -156,14 +163,16 @@ def _first(unstable: Callable[[float], bool], about: Iterable[float]) -> float:
     return float(low)
 
 
-def instability(
-    config: Config, margins: Mapping[str, Any], vehicle: Vehicle, plant: Any, model: ModelFile | None
-) -> str:
-    """Why the loop of a flight is not stable at hover, in one line with what helps; "" where it is, where that is not
-    known, and where the configuration allows it. What is tried: telling the controller lag and delay, and other control
-    rates and horizons without."""
-    controller = config.controller
-    if margins.get("growth", 0.0) <= SLOW or controller.allow_unstable:
+def instability(config: Config, loop: Any, model: ModelFile | None) -> str:
+    """Why the loop of a flight (experiment.evaluate.Loop) is not stable at hover, in one line with what helps.
+
+    "" where it is, where that is not known, where the configuration allows it, and where the controller finds such
+    delays in flight, since it may then choose a softer horizon than the stiffest, which is judged. What is tried:
+    telling the controller lag and delay, and other control rates and horizons without."""
+    controller, plant, growth = config.controller, loop.plant, loop.margins.get("growth", 0.0)
+    if growth <= SLOW or controller.allow_unstable:
+        return ""
+    if hasattr(loop.controller, "looks_for") and loop.controller.looks_for(*_delays(plant)):
         return ""
     lag = getattr(config.plant, "motor_lag", 0.0) + getattr(plant, "loop_lag", 0.0)
     late = getattr(plant, "loop_delay", 0.0)
@@ -177,7 +186,8 @@ def instability(
     def stable(changes: Mapping[str, float]) -> bool:
         try:
             other = replace(config, controller=replace(controller, **changes))
-            return loop_margins(build_controller(other, vehicle, plant, model), plant).get("growth", math.inf) <= SLOW
+            changed = build_controller(other, loop.vehicle, plant, model)
+            return loop_margins(changed, plant).get("growth", math.inf) <= SLOW
         except UsageError:  # of settings that contradict each other
             return False
 
@@ -193,7 +203,7 @@ def instability(
     causes = " and ".join(f"{words} {1e3 * value:.0f} ms" for words, value in causing.items() if value) or "no delay"
     return (
         f"{controller.name} on {config.plant.name}: {causes}; this loop is not stable at hover, an error doubles every"
-        f" {math.log(2) / margins['growth']:.2g} s; what makes it stable: {helps}; to fly it all the same:"
+        f" {math.log(2) / growth:.2g} s; what makes it stable: {helps}; to fly it all the same:"
         " controller.allow_unstable=true"
     )
 
