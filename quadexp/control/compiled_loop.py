@@ -130,7 +130,8 @@ class UserLoop(CompiledLoop):
         rows = reference.where.shape[1]
         n = len(self.command)
         first = NUMBERS.size // 8
-        self._given = numbers = np.zeros(first + N_STATE + 3 + n)
+        numbers = np.zeros(first + N_STATE + 3 + n)
+        self._given = numbers.data
         self._state, self._force, self._speed = np.split(numbers[first:], [N_STATE, N_STATE + 3])
         states, inputs, position, yaw = (np.zeros(size) for size in ((rows, N_STATE), (rows - 1, n), (5, 3), 4))
         self._window = (states, inputs, position, yaw[:3])
@@ -153,7 +154,7 @@ class UserLoop(CompiledLoop):
         if plan is not None and (plan.cold or plan.prepared != (prepared >= 0 and window is None)):
             return False
         present = window is not None, force is not None, speed is not None
-        NUMBERS.pack_into(self._given.data, 0, t, prepared, self.running.k, *present)
+        NUMBERS.pack_into(self._given, 0, t, prepared, self.running.k, *present)
         self._state[...] = state
         if force is not None and not _fill(self._force, force):
             return False
