@@ -75,8 +75,8 @@ def test_the_core_does_its_work_without_all_of_them(checkout):
     assert (folder / "a" / "results.parquet").is_file() and not (folder / "a" / "figures").exists()
     for words, said in (
         (("simulate", *FLIGHT, "observer=disturbance"), "observer._target_="),
-        (("evaluate", "--sweep", "--figures", *FLIGHT, "--out", "again"), "--figures: no plug-in"),
-        (("results", "a", "--html", "a.html"), "--html: no plug-in"),
+        (("evaluate", "--sweep", "--figures", *FLIGHT, "--out", "again"), "--figures: no installed plug-in"),
+        (("results", "a", "--html", "a.html"), "--html: no installed plug-in"),
     ):
         done = command(*words)
         assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1, done.stderr

@@ -53,7 +53,7 @@ def test_a_cell_with_a_flipped_byte_is_named_and_flown_again(folder, where):
     flip(path, int(where * path.stat().st_size) if isinstance(where, float) else where)
     assert list(verify_results(folder).wrong) == [str(path)]
     code, out, err = run("results", folder, "--verify")
-    assert code == 1 and out.startswith(f"{path}: ") and "1 files do not hold what was written" in err
+    assert code == 1 and out.startswith(f"{path}: ") and "1 files have changed since they were written" in err
     result = fly(folder)
     assert result.flown == 1 and untimed(folder) == before
     (note,) = result.notes

@@ -64,6 +64,7 @@ TUM = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 HEADINGS = ("yaw", "heading")  # rad, unless the numbers say degrees
 DEGREES = tuple(f"{name}{unit}" for name in HEADINGS for unit in ("_deg", " [deg]", " (deg)", "[deg]", "(deg)"))
 FULL_TURN = 6.5  # rad: a heading that stays within is taken as radians
+FASTEST = np.pi / 2  # rad/s: a heading that turns on and on no faster is in rad, as the guide says
 ALONG, NOT_ALONG = 0.95, 0.7  # length of the mean direction of heading less course: held, not held
 
 
@@ -128,7 +129,7 @@ def read_positions(path: Path) -> Positions:
     scale = 1e-9 if times is not None and times[0] > NANOSECONDS else 1.0
     times = None if times is None else times * scale
     angles = [name for name in (*HEADINGS, *DEGREES) if name in values]
-    yaw = _in_radians(path, angles[0], values[angles[0]], points) if angles else None
+    yaw = _in_radians(path, angles[0], values[angles[0]], points, times) if angles else None
     if columns == TUM or (yaw is None and set(ATTITUDE) <= values.keys()):
         order = TUM[4:] if columns == TUM else (*ATTITUDE[1:], ATTITUDE[0])
         yaw = _heading(path, rows, np.column_stack([values[name] for name in order]))
@@ -172,11 +173,12 @@ def _heading(path: Path, rows: list[tuple[int, list[str]]], quaternion: np.ndarr
     return np.arctan2(-y_body[:, 0], y_body[:, 1])
 
 
-def _in_radians(path: Path, name: str, yaw: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _in_radians(path: Path, name: str, yaw: np.ndarray, points: np.ndarray, t: np.ndarray | None) -> np.ndarray:
     """A column of headings (k,) in rad. Degrees are recognised by the column's name, by steps of 360 where the angle
     wraps, and by a nose that keeps its angle to the course (points: (k, 3)) in degrees and not in radians.
 
-    Raises DataError for angles of more than a turn that say neither: 0 .. 45 may be degrees, or seven turns.
+    Raises DataError for angles of more than a turn that say neither and would turn fast: 0 .. 45 in 20 s may be
+    degrees, or seven turns.
     """
     if name in DEGREES:
         return np.radians(yaw)
@@ -194,6 +196,8 @@ def _in_radians(path: Path, name: str, yaw: np.ndarray, points: np.ndarray) -> n
     if as_degrees > ALONG and as_radians < NOT_ALONG:
         return np.radians(yaw)
     if as_radians > ALONG and as_degrees < NOT_ALONG:
+        return yaw
+    if t is not None and np.abs(yaw).min() < FULL_TURN and bool(np.all(steps < FASTEST * np.diff(t))):
         return yaw
     size = float(np.abs(yaw).max())
     raise DataError(
