@@ -35,6 +35,7 @@ RESIDUAL = (
 TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/physics/rotation.py": ("tests/physics/test_rotation.py", *MECHANICS),
     "quadexp/physics/rotor.py": (*AIR, "tests/plugins/papers/test_blade_residual.py"),
+    "quadexp/plugins/aerodynamics/coefficients.py": (*AIR, "tests/plugins/papers/test_blade_residual.py"),
     "quadexp/physics/rigid_body.py": MECHANICS,
     "quadexp/physics/integrator.py": MECHANICS,
     "quadexp/physics/scalars.py": JACOBIANS,
