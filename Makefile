@@ -64,7 +64,7 @@ test-python:
 # never asks, such as the equations of physics, is the same as in `test-full`; what compiled code alone shows is skipped.
 # Of plug-ins: their equations; whole flights are left out.
 WHOLE := test_flight *remedies test_beliefs test_targets test_decide
-ASKING := models/test_residuals control/test_contracts control/test_delivered control/laws/test_law \
+ASKING := models/test_residuals control/test_contracts control/laws/test_law \
 	$(addprefix control/mpc/test_,mpc reference_thrust dead_time motor_lead phases riccati) \
 	$(addprefix world/test_,air_effects sensors wind world) \
 	reference/test_air_model reference/test_partial_air plugins/worlds/test_eskf plugins/papers/test_plant

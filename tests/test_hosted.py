@@ -1,8 +1,10 @@
 """The hosted tests run what the Makefile has."""
 
 import re
+import subprocess
 from pathlib import Path
 
+import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -17,3 +19,11 @@ def test_hosted_tests_run_targets_of_the_makefile():
     )
     there = re.findall(r"^([\w-]+(?: [\w-]+)*):", (ROOT / "Makefile").read_text(encoding="utf-8"), flags=re.MULTILINE)
     assert len(targets) == 7 and targets <= {name for names in there for name in names.split()}
+
+
+@pytest.mark.parametrize("target", ["test-fast", "test-lowest", "test-interpreted", "reproduce-quick", "coverage"])
+def test_files_that_a_target_names_are_there(target):
+    """As `make` expands its words; pytest runs nothing where one is missing."""
+    done = subprocess.run(["make", "--dry-run", "--always-make", target], cwd=ROOT, capture_output=True, text=True)
+    named = set(re.findall(r"(?<!\S)tests/[\w/.]+", done.stdout))
+    assert done.returncode == 0 and named and not [name for name in sorted(named) if not (ROOT / name).exists()]
