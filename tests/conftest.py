@@ -20,7 +20,6 @@ from quadexp.compile.compiler import compiler
 from quadexp.errors import QuadexpError
 from quadexp.physics.rotor import RotorGeometry
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.aerodynamics.coefficients import BladeCoefficients
 from tests import composing  # noqa: F401 - before any test binds what it replaces
 from tests.deleted import pytest_ignore_collect, pytest_make_collect_report, pytest_runtest_makereport  # noqa: F401
 
@@ -99,8 +98,10 @@ def odd_vehicle() -> Vehicle:
 
 
 @pytest.fixture(scope="session")
-def blade() -> BladeCoefficients:
+def blade():
     """True coefficients of Lei & Li 2017, Table 1."""
+    from quadexp.plugins.aerodynamics.coefficients import BladeCoefficients
+
     return BladeCoefficients(lift_slope=3.32, profile_drag=0.22, body_drag=(0.01, 0.01, 0.02))
 
 

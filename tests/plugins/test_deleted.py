@@ -1,6 +1,7 @@
 """The folder of any plug-in can be deleted: the program flies, lists and refuses without it, and the core learns,
 flies a sweep and reports without all of them."""
 
+import ast
 import re
 import shutil
 import sys
@@ -80,3 +81,18 @@ def test_the_core_does_its_work_without_all_of_them(checkout):
     ):
         done = command(*words)
         assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1, done.stderr
+
+
+def test_fixtures_of_the_core_import_no_plugin():
+    """As their modules are loaded: without that plug-in no test at all would be collected."""
+    seen, waiting = set(), [path for path in (ROOT / "tests").rglob("conftest.py") if "plugins" not in path.parts]
+    while waiting:
+        path = waiting.pop()
+        seen.add(path)
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ImportFrom) and node.module:
+                assert not node.module.startswith("quadexp.plugins."), (path, node.module)
+                file = ROOT.joinpath(*node.module.split(".")).with_suffix(".py")
+                if node.module.startswith("tests.") and file.is_file() and file not in seen:
+                    waiting.append(file)
+    assert len(seen) > 8
