@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.deleted import needs
 from tests.house import PACKAGE, ROOT, modules
 
 FILE = re.compile(r"(?<![\w/.*-])((?:[\w-]+/)*[a-z_][\w-]*\.(?:py|c|yaml|md|toml))\b")
@@ -37,6 +38,7 @@ def exists(path: Path, name: str, files: set[str]) -> bool:
     return any((place / name).exists() for place in places) or any(file.endswith(f"/{name}") for file in files)
 
 
+@needs()
 def test_docstrings_name_files_that_exist():
     files = {f"/{path.relative_to(ROOT)}" for folder in ("quadexp", "conf", "tests", "docs", "examples", "benchmarks")
              for path in (ROOT / folder).rglob("*") if path.is_file()}  # fmt: skip

@@ -2,6 +2,7 @@
 
 import ast
 
+from tests.deleted import needs
 from tests.mutation.mutate import ROOT, accepted_reasons, mutants_of
 from tests.mutation.operators import mutants
 from tests.mutation.operators_c import c_mutants
@@ -52,6 +53,7 @@ def test_signs_constants_and_comparisons_in_c():
     }
 
 
+@needs()
 def test_mutants_of_the_package_are_other_programs_and_have_tests():
     keys = []
     for file in target_files(ROOT):

@@ -3,6 +3,7 @@
 import math
 
 from quadexp.report.notes import notes
+from tests.deleted import needs
 from tests.report.test_tables import row
 
 
@@ -48,6 +49,7 @@ def test_several_versions_of_the_program():
     ]
 
 
+@needs("auto")
 def test_commands_that_change_far_more_with_auto_are_named():
     """A13: three to four times in the median, and nobody was given."""
 

@@ -19,6 +19,7 @@ from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.plan import cell_key, flying_order, plan_cells
 from quadexp.sweeps.results import select
 from quadexp.sweeps.sweep import run_sweep
+from tests.deleted import needs
 from tests.processes import processes
 from tests.sweeps import cells
 from tests.sweeps.quick import start, wait_for
@@ -140,6 +141,7 @@ class TestSweep:
         assert [row["outcome"] for row in select(tmp_path / "r", failures=True).rows] == ["invalid"] * 7
         assert not verify_results(tmp_path / "r").wrong
 
+    @needs("papers", "aerodynamics")
     def test_an_invalid_cell_takes_no_part_in_statistics_and_is_marked_in_the_table(self, tmp_path):
         asked = ["controller=nominal_mpc,rls_feedback", "controller.nodes=8,12", "trajectory.speed=2", "seed=0,1"]
         result = fly(expand(asked), tmp_path / "r")

@@ -4,12 +4,13 @@ import pytest
 
 from quadexp.cli.app import app
 from quadexp.models.checkpoint import save_model
-from tests.plugins.exchange.models import crazyflie, hummingbird
 
 
 @pytest.fixture(scope="session")
 def checkpoints(tmp_path_factory):
     """Folder with the checkpoints cf (motor commands, linear drag) and hb (rotor speeds, blade element)."""
+    from tests.plugins.exchange.models import crazyflie, hummingbird
+
     folder = tmp_path_factory.mktemp("models")
     save_model(folder / "cf", crazyflie())
     save_model(folder / "hb", hummingbird())
