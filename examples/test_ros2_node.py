@@ -1,5 +1,7 @@
 """The node of ros2_node.py with a simulated vehicle as its other end, where the wheels of ROS 2 are installed."""
 
+# ruff: noqa: E402 - what needs ROS 2 is imported below the line that skips without it
+
 from __future__ import annotations
 
 import os
@@ -12,14 +14,14 @@ os.environ.setdefault("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
 rclpy = pytest.importorskip("rclpy")
 pytest.importorskip("nav_msgs")
 
-from geometry_msgs.msg import TwistStamped  # noqa: E402
-from nav_msgs.msg import Odometry  # noqa: E402
-from ros2_node import ControllerNode  # noqa: E402
-from std_msgs.msg import Float64MultiArray  # noqa: E402
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from ros2_node import ControllerNode
+from std_msgs.msg import Float64MultiArray
 
-import quadexp as qx  # noqa: E402
-from quadexp.physics.rotation import air_velocity  # noqa: E402
-from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY  # noqa: E402
+import quadexp as qx
+from quadexp.physics.rotation import air_velocity
+from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
 
 SETTINGS = ("controller=perfect_mpc", "trajectory=circle", "trajectory.speed=4")
 PATIENCE, STEPS = 20.0, 200  # s; control instants

@@ -1,8 +1,8 @@
 """The one writer: a file or a folder takes its name whole or not at all.
 
 The content goes into a new file of a random name in the folder that it will lie in and is flushed to the disk. Then it
-takes its name: with `force` by rename(2), which replaces what is there, a link itself and not what it leads to; without
-by link(2), which fails where the name is taken, so that of two programs that write the same new file one is refused.
+takes its name. With `force` this is rename(2), which replaces what is there; of a link the link, not its target.
+Without, it is link(2), which fails if the name is taken: of two programs that write the same new file one is refused.
 Where a file system has no hard links, an empty file takes the name first. A folder takes its name by rename(2), which
 replaces no folder that holds something.
 

@@ -104,7 +104,7 @@ class Walk:
 
 
 def _is_importing(frame: FrameType) -> bool:
-    """Whether it runs because Python imports a module, which it does once in a process, whoever is first."""
+    """Whether it runs during an import, which happens once in a process."""
     at: FrameType | None = frame
     while at is not None:
         if at.f_code.co_filename == "<frozen importlib._bootstrap>":

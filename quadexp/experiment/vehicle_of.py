@@ -1,4 +1,4 @@
-"""A vehicle by its name; and what is asked of several files."""
+"""The vehicle that several files have in common, or one by its name."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ from quadexp.physics.vehicle import Vehicle
 
 N_PLACE = 3  # first states, the position
 LENGTH_MIN = 0.5  # of a quaternion at a shooting node
-LENGTH_MAX = 2.0
+LENGTH_MAX = 2.0  # of it; both keep q away from 0 and from overflow
 
 
 @dataclass(frozen=True)

@@ -380,7 +380,7 @@ def shortest(turn: Rotation) -> Rotation:
 
 
 def turn_words(words: str, turn: Rotation, error: np.ndarray) -> tuple[list[float], str]:
-    """Roll, pitch and yaw of a mounting (deg), and what is said of it."""
+    """Roll, pitch and yaw of a mounting (deg), and the text about it."""
     yaw, pitch, roll = turn.as_euler("ZYX", degrees=True)  # M = R_z(yaw) R_y(pitch) R_x(roll), as the mapping has it
     angles = [round(float(x), 2) + 0.0 for x in (roll, pitch, yaw)]
     listed, errors = ", ".join(f"{x:g}" for x in angles), ", ".join(f"{e:.1f}" for e in error)

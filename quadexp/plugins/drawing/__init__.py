@@ -1,3 +1,3 @@
-"""How figures look and are written, whoever draws them."""
+"""The look of all figures, and writing them."""
 
 BRINGS = {"services": {"drawing": "quadexp.plugins.drawing.style"}}

@@ -208,8 +208,8 @@ def looks(labels: Sequence[str]) -> dict[str, Look]:
         stated = LOOKS.get(name_of(label))
         if stated is not None and stated.colour not in {look.colour for look in chosen.values()}:
             chosen[label] = stated
-    worn = {look.colour for look in chosen.values()}
-    free = cycle([look for look in CYCLE if look.colour not in worn])
+    used = {look.colour for look in chosen.values()}
+    free = cycle([look for look in CYCLE if look.colour not in used])
     for label in in_order:
         if label in chosen:
             continue

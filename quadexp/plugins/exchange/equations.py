@@ -100,7 +100,7 @@ from math import inf, nan
 
 import casadi as ca
 
-one, two = ca.SX.unary, ca.SX.binary
+unary, binary = ca.SX.unary, ca.SX.binary
 
 
 def model():
@@ -123,7 +123,7 @@ def _statement(function: ca.Function, i: int, names: dict[int, str]) -> str:
     if code == ca.OP_OUTPUT:
         return f"y[{outputs[1]}] = w[{inputs[0]}]"
     operands = ", ".join(f"w[{k}]" for k in inputs)
-    return f"w[{outputs[0]}] = {'one' if len(inputs) == 1 else 'two'}(ca.{names[code]}, {operands})"
+    return f"w[{outputs[0]}] = {'unary' if len(inputs) == 1 else 'binary'}(ca.{names[code]}, {operands})"
 
 
 CASADI = Target("casadi", casadi, ".casadi", "The model as a CasADi function", asks=("path",))
