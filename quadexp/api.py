@@ -105,19 +105,9 @@ def fit(
     return Checkpoint(path, scratch if out is None else None)
 
 
-def fit_gp(data: Place | Dataset, *settings: OverrideLike, **keywords: Any) -> Checkpoint:
-    """Fit Gaussian processes, and linear drag to the same rows: fit("gaussian_process", data, ...)."""
-    return fit("gp", data, *settings, **keywords)
-
-
 def fit_drag(data: Place | Dataset, *settings: OverrideLike, **keywords: Any) -> Checkpoint:
     """Fit linear rotor drag: fit("linear_drag", data, ...)."""
     return fit("drag", data, *settings, **keywords)
-
-
-def fit_nn(data: Place | Dataset, *settings: OverrideLike, **keywords: Any) -> Checkpoint:
-    """Fit a neural network: fit("neural", data, ...)."""
-    return fit("nn", data, *settings, **keywords)
 
 
 def sweep(

@@ -24,6 +24,13 @@ What a place must be:
     sections   a function of a Page (quadexp/plugins/page/report)
     exports    a function as `quadexp export` calls it for models and vehicles (quadexp/plugins/exchange)
 
+Of these a name stands for words, and no place:
+
+    groups     a group of the configuration, which is there with its plug-in only (quadexp/parts/schema.py); read before
+               anything else is imported, so those of installed packages do not count
+    reads      what a command reads of the configuration (quadexp/parts/reads.py)
+    spellings  a word for a kind of models, for one release more, of `fit-WORD` and WORD.KEY -> that kind
+
 A name of this program is looked for first, so that what ships needs no look at what is installed. That look reads the
 files entry_points.txt of sys.path itself: importlib.metadata, which does the same, takes as long to import as all the
 rest of `quadexp --help`.
@@ -49,7 +56,6 @@ BRINGS: dict[str, dict[str, str]] = {
         "evaluate": "quadexp.cli.fly:evaluate",
         "collect": "quadexp.cli.learn:collect",
         "fit": "quadexp.cli.learn:fit",
-        "fit-gp": "quadexp.cli.learn:fit_gp",
         "fit-drag": "quadexp.cli.learn:fit_drag",
         "show": "quadexp.cli.look:show",
         "results": "quadexp.cli.look:results",
@@ -62,7 +68,19 @@ BRINGS: dict[str, dict[str, str]] = {
     "api": {},
     "tables": {},
     "columns": {},
+    "groups": {},
+    "reads": {
+        "simulate": "FLIGHT",
+        "evaluate": "FLIGHT evaluate.metric evaluate.figures evaluate.log_period",
+        "evaluate --sweep": "FLIGHT evaluate engine sweep",
+        "collect": "LOOP collect",
+        "collect --sweep": "LOOP collect sweep",
+        "collect --flight": "vehicle collect.frame collect.thrust collect.state collect.target collect.identified",
+        "fit": "vehicle fit",
+        "qx.controller": "FLIGHT",
+    },
     "services": {},
+    "spellings": {"drag": "linear_drag"},
     "papers": {},
 }
 

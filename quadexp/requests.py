@@ -189,13 +189,13 @@ def evaluate(
 def _doubts(cells: Sequence[Any]) -> list[str]:
     """What references of some cells are below the ground, and drag that their vehicles cannot have."""
     from quadexp.experiment.build import build_trajectory, build_vehicle
-    from quadexp.experiment.evaluate import below_ground, heavy_drag
+    from quadexp.experiment.evaluate import below_ground, ground_height, heavy_drag
 
     nodes: dict[Any, Config] = {}
     for config in (cell.config for cell in cells if not cell.invalid):
         if config.trajectory.shipped:  # which is a program of its own: built where it is flown
-            shared = (config.trajectory, config.ground, config.vehicle, config.plant)  # by cells that have the same
-            nodes.setdefault(tuple(map(id, shared)), config)
+            shared = (config.trajectory, config.vehicle, config.plant)  # by cells that have the same
+            nodes.setdefault((*map(id, shared), ground_height(config)), config)
     low = [below_ground(c, build_trajectory(c.trajectory, build_vehicle(c.vehicle))) for c in nodes.values()]
     lines = {line: None for line in (*low, *map(heavy_drag, nodes.values())) if line}
     return [*lines][:3]

@@ -20,11 +20,21 @@ from quadexp.names import SPELLINGS, is_name
 from quadexp.parts.cells import Cell as Cell
 from quadexp.parts.cells import Cells, Grid, iterate_validated
 from quadexp.parts.models import GROUP, check_named, kind_of, spelled
-from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, Folders, OptionFiles, given_folders, merge, nested
+from quadexp.parts.options import (
+    GLOBAL,
+    LACKING,
+    REFERENCE,
+    REFERENCES,
+    Folders,
+    OptionFiles,
+    given_folders,
+    merge,
+    nested,
+)
 from quadexp.parts.override import GROUPS, ITEM, MOST_CELLS, Override, OverrideReader, alternatives, in_grammar
 from quadexp.parts.part import TARGET, part_class
 from quadexp.parts.reads import is_read, refuse_idle, refuse_unread, refuse_without_effect
-from quadexp.parts.schema import BUNDLES, CHOSEN, CLASSES, PRESETS, WORLD, Config, world_name
+from quadexp.parts.schema import BUNDLES, CHOSEN, CLASSES, PRESETS, WORLD, Config, lacks_plugin, world_name
 from quadexp.parts.settings import declared, made, plain
 from quadexp.parts.timing import with_timing
 from quadexp.parts.user_modules import import_from, own_folders
@@ -220,6 +230,8 @@ class Composer:
         if choice not in self._trees:
             layers = self._layers({override.key: override.value for override in chosen})
             for name in layers:
+                if lacks_plugin(name):
+                    raise UsageError(f"{layers[name][0].option}: sets {name}: {LACKING}")
                 if name not in _ROOT:
                     raise UsageError(f"{layers[name][0].option}: {name}: no such key{suggestion(name, list(_ROOT))}")
             self._trees[choice] = {name: self._node(name, layers.get(name, [])) for name in _ROOT}
@@ -340,6 +352,8 @@ def check_key(content: Any, key: str, files: OptionFiles) -> None:
     """UsageError where the content has no such key. files: the options, those that are not chosen too."""
     root = content
     parts = key.split(".")
+    if lacks_plugin(parts[0]):
+        raise UsageError(f"{key}: {LACKING}")
     for i, part in enumerate(parts):
         if isinstance(content, dict) and part in content:
             content = content[part]

@@ -44,7 +44,7 @@ from quadexp.messages import MOST_NAMED, ending_in, note
 from quadexp.names import without
 from quadexp.parts.former import group_of
 from quadexp.parts.part import TARGET, Part, part_class
-from quadexp.parts.schema import BUNDLES, CHOSEN, CLASSES, PRESETS, WORLD, conf_folder
+from quadexp.parts.schema import BUNDLES, CHOSEN, CLASSES, PRESETS, WORLD, conf_folder, lacks_plugin
 from quadexp.parts.settings import declared
 from quadexp.parts.user_modules import import_from, plugin_folders
 from quadexp.plugin import service
@@ -62,6 +62,7 @@ Folders = Place | Iterable[Place] | None  # of a user's own, as given with --con
 MOST_BYTES = 1_000_000  # of a file
 MOST_VALUES = 20_000  # of a file, every alias counted as what it stands for
 DEEPEST = 40  # mappings and lists within each other
+LACKING = "no installed plug-in has this group (quadexp/plugins)"
 REFERENCE = re.compile(r"\$\{([A-Za-z_]\w*(?:\.\w+)*)\}")
 REFERENCES = (
     "a reference is ${KEY} with a key of the configuration, such as ${seed} or ${trajectory.speed}, and none that leads"
@@ -142,7 +143,8 @@ class OptionFiles:
             ]
             stated += [(name, entry.option_file, entry) for name, entry in entries(folder).items()]
             for name, path, entry in stated:
-                self.definitions.setdefault(name, []).append(Definition(place, path, entry))
+                if not lacks_plugin(name.partition("/")[0]):
+                    self.definitions.setdefault(name, []).append(Definition(place, path, entry))
         self.entries = {name: first.entry for name, (first, *_) in self.definitions.items() if first.entry}
         self.groups: dict[str, list[str]] = {}
         for name in sorted(self.definitions):
@@ -246,6 +248,10 @@ class OptionFiles:
         choices = {}
         for key, option in entry.items():
             group = group_of(str(key).removeprefix("override ").strip().lstrip("/"))
+            if lacks_plugin(group):
+                if option == "none":
+                    continue
+                raise UsageError(f"{path}: {group}={option}: {LACKING}")
             if group not in CHOSEN:
                 raise UsageError(f"{path}: defaults: {key}: must be `override /GROUP`, of {', '.join(CHOSEN)}")
             name = self.named(group, option)
@@ -322,6 +328,8 @@ def _entries_of(option_file: Path, hashed: str) -> dict[str, Entry]:
     options: dict[str, Entry] = {}
     groups = (*CLASSES, *PRESETS, *BUNDLES)
     for group, stated in read_mapping(option_file).items():
+        if lacks_plugin(group):
+            continue
         if group not in groups or not isinstance(stated, Mapping):
             raise UsageError(
                 f"{option_file}: {group}: must be a group that holds options; groups are {', '.join(groups)}"

@@ -39,10 +39,12 @@ class Part(Settings):
 
     former_kind: what stands for the class in hashes, so that stored flights and cells keep theirs; "" for nothing.
     added: keys that it did not always have, recorded where they are not as usual.
+    age_key: that of the age of the measured state, which `timing.age` gives, where it has one.
     """
 
     former_kind: ClassVar[str] = ""
     added: ClassVar[tuple[str, ...]] = ()
+    age_key: ClassVar[str] = "age"
 
     name: Name = "unnamed"
 

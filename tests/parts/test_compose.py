@@ -42,10 +42,12 @@ def hydra_composes(overrides):
         group, _, option = name.partition("/")
         package = "_global_" if group in BUNDLES else PRESETS.get(group)
         ConfigStore.instance().store(group=group, name=option, node=entry.content, package=package)
+    every_group = [*({group: option} for group, option in CHOSEN.items()), "_self_", {"experiment": None}]
+    ConfigStore.instance().store(name="every_group", node={"defaults": every_group})
     with hydra.initialize_config_dir(str(conf_folder()), version_base="1.3"):
         options = groups()  # a value that no file states is added, because defaults are those of classes
         given = [text if text.partition("=")[0] in options else f"++{text}" for text in overrides]
-        composed = hydra.compose("config", overrides=given, return_hydra_config=True)
+        composed = hydra.compose("every_group", overrides=given, return_hydra_config=True)
         chosen = dict(composed.hydra.runtime.choices)
         composed = OmegaConf.to_container(composed)
     for name in ("hydra", *BUNDLES, *PRESETS):

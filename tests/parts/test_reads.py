@@ -8,7 +8,7 @@ import quadexp as qx
 from quadexp.errors import UsageError
 from quadexp.parts.compose import compose, session
 from quadexp.parts.options import OptionFiles
-from quadexp.parts.reads import READS, is_read
+from quadexp.parts.reads import is_read, reads
 from quadexp.parts.schema import CHOSEN, PARTS, Config
 from quadexp.parts.settings import declared, find, shown
 from tests.cli.command import run
@@ -33,9 +33,9 @@ def flight(tmp_path_factory):
 
 
 def test_every_command_is_here_and_every_key_is_read_by_one():
-    assert {*WORDS, "qx.controller", "bench --controller", "gymnasium.make"} == {*READS}
+    assert {*WORDS, "qx.controller", "bench --controller", "gymnasium.make"} == {*reads()}
     for text in TEXTS:
-        assert any(is_read(text.partition("=")[0], command) for command in READS), text
+        assert any(is_read(text.partition("=")[0], command) for command in reads()), text
 
 
 @pytest.mark.parametrize("command", WORDS)
@@ -51,7 +51,7 @@ def test_what_a_command_does_not_use_is_refused(command, flight, tmp_path, monke
         code, out, err = run(*words, text)
         assert code == 2 and not out, (text, err)
         assert err.startswith(f"error: {text}: is not used by {command}; ") and err.count("\n") == 1, err
-        readers = [other for other in READS if is_read(key, other)]
+        readers = [other for other in reads() if is_read(key, other)]
         advice = "add --sweep" if f"{command} --sweep" in readers else f"it is for {', '.join(readers)}"
         assert err.endswith(f"; {advice}\n"), err
     assert not list(tmp_path.iterdir())

@@ -5,5 +5,6 @@ BRINGS = {
         "loop_margins": "quadexp.plugins.margins.loop_margins:loop_margins",
         "instability": "quadexp.plugins.margins.loop_margins:instability",
         "margins": "quadexp.plugins.margins.requests:margins",
-    }
+    },
+    "reads": {"show --margins": "FLIGHT"},
 }
