@@ -128,10 +128,8 @@ def sweep(
     """
     folder = Scratch() if out is None else Path(out)
     texts = overrides(settings, keywords, lists=True)
-    swept = requests.evaluate(
-        texts, Path(folder), conf, figures=False, old=old, force=force,
-        progress=lambda below: progress_of("flights", progress),
-    )  # fmt: skip
+    asked = requests.Evaluation(overrides=texts, out=Path(folder), conf=conf, figures=False, old=old, force=force)
+    swept = requests.evaluate(asked, lambda below: progress_of("flights", progress))
     results = _results(folder)
     results.attrs["notes"] = swept.result.notes
     return results

@@ -68,8 +68,8 @@ def with_timing(config: Config, given: Collection[str], motor: str) -> Config:
             config = replace(config, **{group: replace(part, **changes)})
     for name in known.keys() - taken:
         if f"timing.{name}" in given:
-            advice = ", ".join(takers(name)[:MOST_NAMED])
-            raise UsageError(f"timing.{name}={known[name]:g}: nothing in this configuration uses it: add {advice}")
+            advice = f": add {', '.join(options[:MOST_NAMED])}" if (options := takers(name)) else ""
+            raise UsageError(f"timing.{name}={known[name]:g}: nothing in this configuration uses it{advice}")
     return config
 
 
