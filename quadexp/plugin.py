@@ -13,6 +13,9 @@ does an installed package, in a module that an entry point names:
 What a place must be:
 
     commands   a command (quadexp/cli/command.py)
+    alternatives  "COMMAND --OPTION", what a command does instead where that option is given: a function whose
+               parameters are annotated as a command's; one of them is the option, and those that the command has not
+               are options of it too
     parts      a module, or a package, with parts of flights that options name
     models     a module with the records of a kind of models (quadexp/models/base.py)
     api        a name of the Python API (quadexp/__init__.py)
@@ -65,6 +68,7 @@ BRINGS: dict[str, dict[str, str]] = {
     },
     "parts": {},
     "models": {"coefficients": "quadexp.models.coefficients", "linear_drag": "quadexp.models.linear_drag"},
+    "alternatives": {},
     "api": {},
     "tables": {},
     "columns": {},

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Out, command, file_rows, single_values
+from quadexp.cli.look import Columns, Failures, Filters, Limit, Sort, Where, selected
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
 from quadexp.names import without
@@ -258,3 +259,26 @@ def compare(
     record |= {"picture": out} if out else {}
     record["checked"] = [f"{folder}: {files.text()}" for folder, files in checked.items()] + wrong
     return Answer(record, report["tables"], [*report["lines"], *([out] if out else [])])
+
+
+def results_html(
+    folder: Annotated[Path, Ask("A folder of `quadexp evaluate`.", "DIR")],
+    filters: Filters = (),
+    where: Where = None,
+    sort: Sort = None,
+    columns: Columns = None,
+    limit: Limit = None,
+    failures: Failures = False,
+    html: Annotated[Path | None, Ask("Write a sortable table as a page that opens offline.", "FILE")] = None,
+    force: Force = False,
+) -> Answer:
+    """\b
+    quadexp results results/table1 --html table.html
+    """
+    from quadexp.plugins.page.document import page_of
+
+    assert html is not None
+    rows = selected(folder, filters, where, sort, columns, limit, failures)
+    page = page_of(rows.frame, rows.named or [*rows.usual, "key"], folder.name)
+    write_text(check_output(html, force=force), page, force=force)
+    return Answer({"path": html}, [{"path": html}], [html])
