@@ -118,6 +118,7 @@ class BladeElement(BladeElementEffects, BladeKeys, PlantPart):
     lift_scale: [one factor a rotor], profile_drag_scale: factor}, all but t optional."""
 
     former_kind = "blade_element"
+    former_keys = {"payload": 0.0}
 
     method: Literal["euler", "rk4"] = key(
         REQUIRED, "explicit Euler as in Lei & Li 2017, or Runge-Kutta of fourth order"
