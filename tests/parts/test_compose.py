@@ -64,10 +64,10 @@ def hydra_composes(overrides):
 
 @pytest.mark.parametrize("overrides", OVERRIDES, ids=lambda o: " ".join(o) or "defaults")
 def test_files_are_joined_as_hydra_joins_them(overrides):
-    expected = hydra_composes(overrides)
     with session() as composer:
         composer.compose(overrides[:1])
-        assert record(composer.compose(overrides)) == record(composer.compose(overrides)) == expected
+        composed = record(composer.compose(overrides))
+        assert composed == record(composer.compose(overrides)) == hydra_composes(overrides)
 
 
 def test_none_is_a_word_of_every_group_that_can_be_absent():
