@@ -126,6 +126,7 @@ def evaluate(
     sweep = asked.sweep
     with session(asked.conf) as composer:
         composer.only("evaluate --sweep" if sweep else "evaluate", asked.overrides)
+        cells: Sequence[Cell]
         if sweep:
             cells = composer.expand(asked.overrides, check=False)
         else:
