@@ -13,9 +13,6 @@ does an installed package, in a module that an entry point names:
 What a place must be:
 
     commands   a command (quadexp/cli/command.py)
-    alternatives  "COMMAND --OPTION", what a command does instead where that option is given: a function whose
-               parameters are annotated as a command's; one of them is the option, and those that the command has not
-               are options of it too
     parts      a module, or a package, with parts of flights that options name
     models     a module with the records of a kind of models (quadexp/models/base.py)
     api        a name of the Python API (quadexp/__init__.py)
@@ -25,6 +22,9 @@ What a place must be:
     papers     a module with what quadexp/report/paper.py asks for
     readers    a module, or another object, with what quadexp/plugins/logs/importers/readers asks for
     sections   a function of a Page (quadexp/plugins/page/report)
+    alternatives  "COMMAND --OPTION": a function that answers instead of a command that ships where that option is
+               given. Its parameters are annotated as a command's; one of them is the option, and those that the command
+               has not are options of it too. Those of installed packages do not count
     exports    a function as `quadexp export` calls it for models and vehicles (quadexp/plugins/exchange)
 
 Of these a name stands for words, and no place:

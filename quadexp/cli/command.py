@@ -24,7 +24,7 @@ from quadexp.cli.terminal import emit, fail, format_of, guarded, print_lines, pr
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.messages import note
 from quadexp.parts.settings import Settings, declared
-from quadexp.plugin import brought, places
+from quadexp.plugin import brought, shipped_places
 
 
 class Ask(NamedTuple):
@@ -94,7 +94,7 @@ class Command:
     def alternatives(self) -> dict[str, Callable[..., Answer]]:
         """What plug-ins have this command do instead, by the parameter that asks for it."""
         prefix = f"{self.name} --"
-        keys = [key for key in places("alternatives") if key.startswith(prefix)]
+        keys = [key for key in shipped_places("alternatives") if key.startswith(prefix)]
         return {key.removeprefix(prefix): brought("alternatives", key) for key in keys}
 
     def typed(self) -> Callable[..., None]:

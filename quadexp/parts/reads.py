@@ -15,7 +15,7 @@ from quadexp.names import SPELLINGS, distinct
 from quadexp.parts.models import GROUP
 from quadexp.parts.schema import BUNDLES, PRESETS, REMEDIES, WORLD, Config
 from quadexp.parts.settings import find, shown
-from quadexp.plugin import places
+from quadexp.plugin import places, shipped_places
 
 CONTROLLER = ("controller", "timing", "remedies", *PRESETS, *REMEDIES)
 LOOP = ("vehicle", "plant", "model", "seed", *CONTROLLER, *WORLD, *BUNDLES)
@@ -29,10 +29,10 @@ SETS = {
 
 
 @cache
-def reads() -> dict[str, tuple[str, ...]]:
-    """Command, or what else is asked of this program -> groups and keys that it reads."""
-    words = {command: stated.split() for command, stated in places("reads").items()}
-    return {command: tuple(key for word in words[command] for key in SETS.get(word, (word,))) for command in words}
+def reads(command: str) -> tuple[str, ...]:
+    """Groups and keys that a command reads, or what else is asked of this program."""
+    words = shipped_places("reads").get(command) or places("reads")[command]
+    return tuple(key for word in words.split() for key in SETS.get(word, (word,)))
 
 
 def is_read(key: str, command: str) -> bool:
@@ -40,12 +40,13 @@ def is_read(key: str, command: str) -> bool:
     group, dot, _ = key.partition(".")
     if group in SPELLINGS or (group == GROUP and dot):
         key = "fit"
-    return any(f"{key}.".startswith(f"{word}.") for word in reads()[command])
+    return any(f"{key}.".startswith(f"{word}.") for word in reads(command))
 
 
 def refuse_unread(command: str, override: str, keys: Iterable[str]) -> None:
     """UsageError where other commands read what an override sets, and this one reads none of it. override: its text."""
-    readers = distinct(other for key in keys for other in reads() if is_read(key, other))
+    commands = (*shipped_places("reads"), command)
+    readers = distinct(other for key in keys for other in commands if is_read(key, other))
     if not readers or command in readers:
         return
     advice = "add --sweep" if f"{command} --sweep" in readers else f"it is for {', '.join(readers)}"
