@@ -16,7 +16,6 @@ from tests.cli.command import run
 from tests.deleted import needs
 
 OF_GP = needs("gaussian_process")
-
 READERS = shipped_places("reads")
 SINGLE = {"model": "model=m", "seed": "seed=1"}
 EVALUATE = [f"evaluate.{name}={shown(key.default)}" for name, key in declared(find(Config, "evaluate").node).items()]
@@ -37,13 +36,14 @@ def flight(tmp_path_factory):
     return path
 
 
+@needs()
 def test_every_command_is_here_and_every_key_is_read_by_one():
     assert {*WORDS, "qx.controller", "bench --controller", "gymnasium.make"} == {*READERS}
     for text in TEXTS:
         assert any(is_read(text.partition("=")[0], command) for command in READERS), text
 
 
-@pytest.mark.parametrize("command", WORDS)
+@pytest.mark.parametrize("command", [command for command in WORDS if command in READERS])
 def test_what_a_command_does_not_use_is_refused(command, flight, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = [word.format(flight=flight) for word in WORDS[command]]
@@ -93,7 +93,7 @@ def test_experiments_and_single_keys_too(words, message):
     assert code == 2 and message in err and err.count("\n") == 1 and not out, err
 
 
-@OF_GP
+@needs("gaussian_process", "tune", "margins")
 def test_an_experiment_is_taken_where_some_of_it_is_used(tmp_path):
     folder = tmp_path / "mine" / "experiment"
     folder.mkdir(parents=True)
