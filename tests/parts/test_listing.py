@@ -63,7 +63,7 @@ def test_a_preset_says_what_it_sets():
     assert keys("horizon=precise")["first_node"]["value"] == "0.02"
 
 
-@needs("remedies")
+@needs("remedies", "laws")
 def test_a_word_is_looked_for_in_options_keys_and_meanings():
     found = [one.get("option") or one["key"] for one in listed("delay")]
     assert "delay=strapdown" in found and "estimator.delay" in found and "sensor.pose_delay" in found
