@@ -41,7 +41,7 @@ from quadexp.plugins.drawing.style import (
     plain_log,
     save_figure,
 )
-from quadexp.plugins.page.compare import names_of
+from quadexp.plugins.page.differences import names_of
 from quadexp.plugins.page.document import sortable_page
 from quadexp.plugins.page.paper_cells import Point
 from quadexp.plugins.page.view import SUCCESS, Axis, Place, View, value_text, view
