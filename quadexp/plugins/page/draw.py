@@ -43,8 +43,8 @@ from quadexp.plugins.drawing.style import (
 )
 from quadexp.plugins.page.differences import names_of
 from quadexp.plugins.page.document import sortable_page
-from quadexp.plugins.page.paper_cells import Point
-from quadexp.plugins.page.view import SUCCESS, Axis, Place, View, value_text, view
+from quadexp.plugins.page.places import SUCCESS, Place, Point
+from quadexp.plugins.page.view import Axis, View, value_text, view
 from quadexp.report.frame import SweepFrame, read_results, unit_of
 from quadexp.report.pairing import SOURCE
 from quadexp.report.table import records_table

@@ -15,8 +15,8 @@ from typing import Literal, NamedTuple
 from quadexp.names import distinct
 from quadexp.plugins.drawing.style import Figure
 from quadexp.plugins.page.draw import figure_of
-from quadexp.plugins.page.paper_cells import Point
-from quadexp.plugins.page.view import Axis, Place, View
+from quadexp.plugins.page.places import Place, Point
+from quadexp.plugins.page.view import Axis, View
 from quadexp.report.pairing import Rows, contestant_labels, grouped
 from quadexp.report.paper import Drawn
 from quadexp.report.statistics import Statistic, compute_statistics

@@ -32,8 +32,8 @@ from quadexp.parts.settings import declared
 from quadexp.physics.state import POSITION
 from quadexp.plugins.drawing.style import Figure
 from quadexp.plugins.page.draw import figure_of
-from quadexp.plugins.page.paper_cells import Point
-from quadexp.plugins.page.view import Axis, Place, View
+from quadexp.plugins.page.places import Place, Point
+from quadexp.plugins.page.view import Axis, View
 from quadexp.plugins.papers.ellipse import Ellipse as ReferenceEllipse
 from quadexp.plugins.papers.sun.data import CRASHED, FLIGHTS, INFEASIBLE, Ellipse, Published, ellipses, published
 from quadexp.report.inference import holm, mean_interval, paired_permutation
