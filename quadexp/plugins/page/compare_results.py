@@ -84,7 +84,8 @@ def compare_results(paths: Sequence[Path]) -> Report:
     settings = _cell_settings(paths, cells)
     outcomes = Counter((was["outcome"], now["outcome"]) for was, now in cells.values())
     changed = [f"{n} {was}" if was == now else f"{n} {was} -> {now}" for (was, now), n in outcomes.items()]
-    same = sum(_identical(was, now) for was, now in cells.values())
+    before, after = (_exact_numbers(rows) for rows in zip(*cells.values(), strict=True))
+    same = int(((before == after) | (before.isna() & after.isna())).all(axis=1).sum())
     contestants = _contestants(cells, labels, metric, records[0].get("confidence", 0.95))
     lines += [*setting_lines(settings), "", f"outcome  {', '.join(changed)}"]
     lines += [f"same     {same} of {len(cells)} pairs are the same to the last bit, measured times apart", ""]
@@ -95,10 +96,9 @@ def compare_results(paths: Sequence[Path]) -> Report:
     return report | {"lines": [*lines, *_contestant_table(contestants, metric).lines()]}
 
 
-def _identical(was: Row, now: Row) -> bool:
-    """Whether two flights have the same numbers, measured times apart."""
-    numbers = [[row[name] for name in EXACT] for row in (was, now)]
-    return pd.Series(numbers[0], dtype=object).equals(pd.Series(numbers[1], dtype=object))
+def _exact_numbers(rows: Rows) -> pd.DataFrame:
+    """What two runs of the same flights have in common."""
+    return pd.DataFrame([[row[name] for name in EXACT] for row in rows])
 
 
 def matched(*tables: Rows) -> list[dict[Key, Row]]:
@@ -170,13 +170,13 @@ def _any_of(values: Sequence[Any]) -> Any:
 
 def _contestants(cells: Cells, labels: Mapping[Contestant, str], metric: str, confidence: float) -> list[Report]:
     """For each contestant: completed flights, means of a and b over those that it completed in both, b against a."""
-    pairs_of = grouped((who, (at, pair)) for (at, who, _), pair in cells.items())
+    pairs_of = grouped((who, pair) for (_, who, _), pair in cells.items())
     compared: dict[Contestant, Statistic] = {}
     for who, pairs in pairs_of.items():
         rows = []
-        for at, pair in pairs:
+        for pair in pairs:
             for side, row in zip("ab", pair, strict=True):
-                rows.append({**row, "controller": side, "model": "", "variant": at.setting})
+                rows.append({**row, "controller": side, "model": "", "variant": condition_of(row).setting})
         for statistic in overall(rows, metric=metric, baseline="a", confidence=confidence):
             compared[who] = statistic  # there is none where the settings contradict each other
     corrected = holm(np.array([s.p for s in compared.values()]))
@@ -184,7 +184,7 @@ def _contestants(cells: Cells, labels: Mapping[Contestant, str], metric: str, co
     records = []
     for (who, s), p_holm in zip(compared.items(), corrected.tolist(), strict=True):
         s = replace(s, p_holm=p_holm, comparisons=tests)
-        pairs = [pair for _, pair in pairs_of[who]]
+        pairs = pairs_of[who]
         completed = [pair for pair in pairs if all(is_flown(row) and math.isfinite(row[metric]) for row in pair)]
         flown = {side: [sum(is_flown(pair[i]) for pair in pairs), len(pairs)] for i, side in enumerate("ab")}
         about = {"label": labels[who], "cells": len(pairs), "flown": flown, "left_out": s.left_out}

@@ -103,7 +103,7 @@ def _draw_path(panel: Any, flight: Flight, norm: Normalize) -> None:
     """The reference, and the path in pieces that have the colour of their error."""
     panel.plot(flight["ref_p_x"], flight["ref_p_y"], color="#888888", linewidth=0.8, label="reference")
     points = flight.stack(["p_x", "p_y"])
-    error = np.maximum(MM * position_error(flight), norm.vmin)
+    error = np.maximum(MM * position_error(flight), norm.vmin or 0.0)
     flown = LineCollection([*np.stack([points[:-1], points[1:]], axis=1)], cmap=ERROR_COLOURS, norm=norm)
     flown.set_linewidth(1.6)
     flown.set_array((error[:-1] + error[1:]) / 2)

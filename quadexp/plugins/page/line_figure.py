@@ -74,9 +74,9 @@ def line_figure(view: View) -> Figure:
     for panel in grid[:, 0]:
         panel.set_ylabel(view.y_label)
     for line in lines:
-        points = [point for place, point in view.places.items() if place[len(view.facet) : -1] == line.place]
-        if not any(point.is_shown for point in points):
-            what = "invalid" if all(point.invalid for point in points) else "no flight was completed"
+        of_line = [point for place, point in view.places.items() if place[len(view.facet) : -1] == line.place]
+        if not any(point.is_shown for point in of_line):
+            what = "invalid" if all(point.invalid for point in of_line) else "no flight was completed"
             grid[0, 0].plot([], [], label=f"{line.name} ({what})".strip(), **line.cross)
     if len(lines) > 1:
         figure.legend(*entries(grid.flat), loc="outside lower center", ncols=columns)
