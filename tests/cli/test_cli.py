@@ -264,6 +264,7 @@ def test_a_command_that_had_too_little_memory_ends_at_once():
         (["a.parquet", "seed=1"], "show: seed=1: is for --margins"),
     ],
 )
+@needs("margins", "auto")
 def test_show_answers_one_question_at_a_time(words, said):
     code, _, error = run("show", *words)
     assert code == 2 and said in error
