@@ -53,16 +53,19 @@ def jackknife(estimate: Callable[[np.ndarray], np.ndarray | float], stretch: np.
 
 def sensor_sides(windows: Windows) -> dict[str, Side]:
     """Of gyro ("w") and accelerometer ("f"), in the body, where the motion tells them."""
-    sides = {}
-    for pair in pairs(windows, "wf"):
-        if pair.name == "rate":
-            sides["w"] = Side(pair.expected, pair.measured)
-        elif pair.name == "force (p)":
-            sides["f"] = Side(pair.expected, pair.measured)
+    sides = {"w": Side(pair.expected, pair.measured) for pair in pairs(windows, "w")}
+    force = force_side(windows)
+    if force is not None:
+        sides["f"] = force
+    return sides
+
+
+def force_side(windows: Windows) -> Side | None:
+    """Of an accelerometer by velocity, else by position, over whole windows; None where a stream is missing."""
     halves = force_of_halves(windows)
     if halves is not None:
-        sides["f"] = whole(halves)
-    return sides
+        return whole(halves)
+    return next((Side(pair.expected, pair.measured) for pair in pairs(windows, "f") if pair.name == "force (p)"), None)
 
 
 def force_of_halves(windows: Windows) -> Side | None:
@@ -86,7 +89,7 @@ def whole(halves: Side) -> Side:
 def in_world(windows: Windows) -> Side | None:
     """What velocity or position and what the accelerometer say, both with g, in the world, (n, 3); None where a stream
     is missing."""
-    side = sensor_sides(windows).get("f")
+    side = force_side(windows)
     if side is None:
         return None
     turn = windows.rotation[:, windows.t.shape[1] // 2]
