@@ -215,7 +215,7 @@ def _candidates(streams: str, off: np.ndarray, gain: Gains) -> list[Candidate]:
     severity = "warning" if small else "blocking"
     cost = COST + COST_AXIS * len(words) + COST_STREAMS.get(streams, 0.2)
     correction = {KEYS[stream]: lines for stream in streams}
-    axes = tuple(np.flatnonzero(off[:3]))
+    axes = tuple(np.flatnonzero(off[:3]).tolist())
     return [Candidate(fault, streams, ", ".join(words), correction, cost, severity, axes=axes)]
 
 

@@ -88,7 +88,7 @@ def heading_candidates(windows: Windows) -> list[Candidate]:
         return float(np.degrees(np.arctan2(cross[rows].sum(), dot[rows].sum())))
 
     yaw = angle(slice(None))
-    error = jackknife(lambda rows: (angle(rows) - yaw + 180) % 360, stretches_of(len(a), len(windows.t)))
+    error = float(jackknife(lambda rows: (angle(rows) - yaw + 180) % 360, stretches_of(len(a), len(windows.t))))
     if abs(yaw) < max(LEAST_YAW, SURE * error):
         return []
     text = f"the heading is turned by {-yaw:.1f} deg (standard error {error:.1f}) against the motion"

@@ -41,12 +41,12 @@ def consistency_figure(name: str, flight: Flight, findings: Sequence[Finding]) -
         column[0].set_title(title)
         column[2].set_xlabel("t (s)")
         pair = next((relations[relation] for relation in names if relation in relations), None)
-        for axis, panel in enumerate(column):
+        for row, panel in enumerate(column):
             if pair is None:
                 panel.annotate("not in the flight", (0.5, 0.5), xycoords="axes fraction", ha="center", color="#777777")
                 panel.set_yticks([])
             else:
-                _overlay(panel, t, pair, axis, sensor, computed)
+                _overlay(panel, t, pair, row, sensor, computed)
             _shade(panel, shown)
         if pair is not None:
             column[0].legend(loc="upper right", ncols=2, fontsize=8)

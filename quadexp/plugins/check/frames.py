@@ -91,7 +91,7 @@ def conventions(columns: int, by_name: bool, with_velocity: bool) -> list[Candid
     for *_, lines, cost in ANGLES if columns == 3 else READINGS[:3]:
         against_names = AGAINST_NAMES if by_name and "order" in lines else 0.0
         readings.append(({"attitude": lines}, cost + against_names))
-    turned = [({}, 0)]
+    turned: list[tuple[dict[str, Any], int]] = [({}, 0)]
     if with_velocity:
         turned.append(({"velocity": {"frame": "body"}}, 1))
     candidates = []

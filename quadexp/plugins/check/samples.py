@@ -157,7 +157,7 @@ def _motion(streams: dict[str, np.ndarray], t: np.ndarray, name: str) -> np.ndar
 
 
 def check_spikes(
-    streams: dict[str, np.ndarray], t: np.ndarray, limit: dict[str, float]
+    streams: Mapping[str, np.ndarray], t: np.ndarray, limit: dict[str, float]
 ) -> tuple[list[Finding], dict[str, np.ndarray]]:
     """Single values far from their neighbours, or beyond a limit; masks of those samples by stream.
 
@@ -296,8 +296,8 @@ def check_clock(
     allowed = f"{GAP:g} periods of {period:.4g} s"
     marked = np.diff(np.zeros(len(t)) if segment is None else segment) != 0
     long = np.flatnonzero(steps > GAP * period)
-    leaping = np.array([_leaps(k, t, period, streams or {}) for k in long], bool)
-    leaps, gaps = long[leaping], long[~leaping]
+    leaps = np.array([k for k in long if _leaps(int(k), t, period, streams or {})], int)
+    gaps = np.setdiff1d(long, leaps)
     if len(leaps):
         k = leaps[np.argmax(steps[leaps])]
         text = f"the clock leaps by {steps[k]:.3g} s at {t[k]:.2f} s, {len(leaps)} times; position does not"

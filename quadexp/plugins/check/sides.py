@@ -53,7 +53,9 @@ def jackknife(estimate: Callable[[np.ndarray], np.ndarray | float], stretch: np.
 
 def sensor_sides(windows: Windows) -> dict[str, Side]:
     """Of gyro ("w") and accelerometer ("f"), in the body, where the motion tells them."""
-    sides = {"w": Side(pair.expected, pair.measured) for pair in pairs(windows, "w")}
+    sides = {}
+    for pair in pairs(windows, "w"):
+        sides["w"] = Side(pair.expected, pair.measured)
     force = force_side(windows)
     if force is not None:
         sides["f"] = force
