@@ -116,7 +116,8 @@ def sensor_unit(value: float, sizes: Mapping[Any, float], dimension: str, writte
     lines = {"unit": unit}
     sureness = SURE if off < NEAR[dimension] else GUESS
     if not isinstance(unit, str):
-        sureness = LIKELY if sureness == SURE else GUESS
+        if dimension == "acceleration" and sureness == SURE:  # no more is known of it than its mean size
+            sureness = LIKELY
         lines = {"unit": COUNTED[dimension], "scale": 1 / unit}
         why += f": {unit:g} counts a {COUNTED[dimension]}"
     if apart(value, sizes[rival]) < max(2 * off, APART):
@@ -131,8 +132,10 @@ def rate_unit_by_size(x: np.ndarray, written: str | None) -> Proposal:
     """Of a gyro (k, 3) that nothing can be compared with."""
     spread = float(np.percentile(np.abs(x - np.median(x, axis=0)), 99))
     unit = written or ("deg/s" if spread > 15 else "rad/s")
-    clear = written is not None or not 8 <= spread <= 60
-    return Proposal({"unit": unit}, LIKELY if clear else GUESS, f"by its name; 99 % of its values within {spread:.3g}")
+    sureness = GUESS if 8 <= spread <= 60 else LIKELY
+    if written is not None:
+        sureness = SURE
+    return Proposal({"unit": unit}, sureness, f"by its name; 99 % of its values within {spread:.3g}")
 
 
 def rotor_range(x: np.ndarray, speeds: bool, name: str, written: str | None, betaflight: bool) -> tuple[str, Proposal]:
