@@ -68,7 +68,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/plugins/identification/inflow.py": RESIDUAL,
     "quadexp/plugins/aerodynamics/terms.py": RESIDUAL,
     "quadexp/models/linear_drag.py": (*RESIDUAL, "tests/models/test_linear_drag.py"),
-    "quadexp/plugins/gaussian_process/gaussian_process.py": (
+    "quadexp/plugins/gaussian_process/[fgp]*.py": (
         *RESIDUAL,
         "tests/plugins/gaussian_process/test_gp_fit.py",
     ),
@@ -90,8 +90,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
         "tests/plugins/remedies/test_observers.py",
     ),
     "quadexp/plugins/remedies/online_mpc.py": ("tests/plugins/remedies/test_online_mpc.py",),
-    "quadexp/plugins/identification/timing.py": DELAYS,
-    "quadexp/plugins/identification/moments.py": DELAYS,
+    "quadexp/plugins/identification/ages.py": DELAYS,
     "quadexp/plugins/remedies/delay/*.py": DELAYS,
     "quadexp/plugins/remedies/indi.py": ("tests/plugins/remedies/test_indi.py",),
     "quadexp/plugins/remedies/l1.py": ("tests/plugins/remedies/test_l1.py",),
