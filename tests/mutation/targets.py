@@ -68,10 +68,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "quadexp/plugins/identification/inflow.py": RESIDUAL,
     "quadexp/plugins/aerodynamics/terms.py": RESIDUAL,
     "quadexp/models/linear_drag.py": (*RESIDUAL, "tests/models/test_linear_drag.py"),
-    "quadexp/plugins/gaussian_process/[fgp]*.py": (
-        *RESIDUAL,
-        "tests/plugins/gaussian_process/test_gp_fit.py",
-    ),
+    "quadexp/plugins/gaussian_process/[gp]*.py": (*RESIDUAL, "tests/plugins/gaussian_process/test_gp_fit.py"),
     "quadexp/plugins/neural/neural.py": (*RESIDUAL, "tests/plugins/neural/test_neural.py"),
     "quadexp/plugins/papers/lei_li/blade_element.py": (*RESIDUAL, "tests/plugins/papers/test_blade_fit.py"),
     "quadexp/plugins/remedies/observers/*.py": ("tests/plugins/remedies/test_observers.py",),
