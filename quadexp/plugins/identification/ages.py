@@ -92,8 +92,9 @@ def age_of_rates(stream: Stream) -> Age:
 def _likeliest(stream: Stream, change: np.ndarray, integral: Integral) -> Age:
     """The shift of a reading. change: of what it integrates to, over each period, (k - 1, 3), world.
 
-    The error is at least half of what the halves of the flight differ by, and of the range that is about as likely. An
-    age that is not WORTH more than none is none, and its error at least what was found."""
+    The error is that of the slope (the Cramer-Rao bound), at least half of what the halves of the flight differ by, and
+    of the range that is about as likely. An age that is not WORTH more than none is none, and its error at least what
+    was found."""
     t = stream.t
     if len(t) < LEAST:
         raise DataError(f"delays cannot be found in {len(t)} samples, {LEAST} are needed")
@@ -105,11 +106,15 @@ def _likeliest(stream: Stream, change: np.ndarray, integral: Integral) -> Age:
     body = stream.attitude[first + span // 2 : len(t) - span + span // 2].inv()  # in the middle of each span
     half = len(body) // 2
 
-    def likelihoods(shift: float) -> np.ndarray:
-        """Log, by the whole flight and by each half of it, (3,)."""
+    def errors(shift: float) -> np.ndarray:
+        """What a shift leaves of each span, (s, 3), on the axes of the body."""
         read = np.diff(integral(np.maximum(t - shift, t[0])), axis=0)
         remaining = np.cumsum(change - middle.apply(read), axis=0)[first - 1 :]
-        error = body.apply(remaining[span:] - remaining[:-span])
+        return body.apply(remaining[span:] - remaining[:-span])
+
+    def likelihoods(shift: float) -> np.ndarray:
+        """Log, by the whole flight and by each half of it, (3,)."""
+        error = errors(shift)
         parts = error, error[:half], error[half:]
         # about the mean: a bias of the sensor is no age
         return np.array([-len(part) / OVERLAP / 2 * np.log(np.var(part, axis=0) + TINY).sum() for part in parts])
@@ -126,7 +131,11 @@ def _likeliest(stream: Stream, change: np.ndarray, integral: Integral) -> Age:
     value, highest = peak(0)
     likelihood = tried_likelihoods[:, 0] - highest
     alike = tried[likelihood > -WITHIN]
-    error = max(abs(peak(1)[0] - peak(2)[0]), np.abs(alike - value).max(initial=0.0)) / 2
+    remaining = errors(value)
+    slope = (errors(value + STEP) - remaining) / STEP
+    information = len(body) / OVERLAP * np.sum(np.var(slope, axis=0) / (np.var(remaining, axis=0) + TINY))
+    range_or_halves = max(abs(peak(1)[0] - peak(2)[0]), np.abs(alike - value).max(initial=0.0))
+    error = max(information**-0.5, range_or_halves / 2)
     if likelihood[0] > -WORTH:
         value, error = 0.0, max(error, value)
     return Age(value, float(error), tried, likelihood)

@@ -238,14 +238,16 @@ def fit_thrust_samples(
     scaled = scaled_signal(samples.signal, samples.voltage, reference, exponent)
     count = len(powers)
     exponent_error = 0.0
-    if fit_exponent and intervals:  # the regression linearised in g, with da/dg as a first column
+    if fit_exponent and intervals:  # the regression linearised in g, with da/dg as a further column
         assert samples.voltage is not None
         terms = [c * p * scaled**p for c, p in zip(regression.coefficients, powers, strict=False)]
         by_exponent = np.sum(terms, axis=0).sum(axis=1) * np.log(samples.voltage / reference)
-        joint = fit(np.column_stack([by_exponent, columns]), ["g", *design.names])
-        exponent_error = float(joint.errors[0])
+        at = count + design.intercept
+        joint = fit(np.insert(columns, at, by_exponent, axis=1), np.insert(design.names, at, "g").tolist())
+        exponent_error = float(joint.errors[at])
+        others = np.arange(len(joint.names)) != at
         regression = replace(
-            regression, covariance=joint.covariance[1:, 1:], condition=joint.condition,
+            regression, covariance=joint.covariance[np.ix_(others, others)], condition=joint.condition,
             freedom=joint.freedom + 1,  # without g
         )  # fmt: skip
     value, error = regression.coefficients, regression.errors
