@@ -86,7 +86,7 @@ class Commands(NamedTuple):
         if self.late is None or not self.late.late or self.late.at_bound[2]:
             return False
         low, high = self.late.intervals[2]
-        return (high - low) / 2 <= max(2 * KNOWN, SUM_SHARE * (self.late.dead_time + self.late.lag))
+        return bool((high - low) / 2 <= max(2 * KNOWN, SUM_SHARE * (self.late.dead_time + self.late.lag)))
 
 
 class Found(NamedTuple):

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -336,10 +337,18 @@ def _search(score: Callable[[Timing], float]) -> Timing:
     """Timing of the least score, but the simplest that comes within WORTH of it: without any, with a lag or a delay
     alone, with both, and with a lag of its own up and down. A lag or delay alone always shows that there is one."""
     none = Timing()
+
+    def with_lag(kind: str, lag: float) -> float:
+        return score(Timing(lag, lag, kind))
+
+    def with_both(kind: str, at: Sequence[float]) -> float:
+        """Of a lag, or one up and one down, and the delay that follows them."""
+        return score(Timing(at[0], at[-2], kind, at[-1]))
+
     delay = _least(lambda delay: score(Timing(delay=delay)), LARGEST_DELAY)[0]
     lags = []
     for kind in ("thrust", "rotor_speed"):
-        lag = _least(lambda lag, kind=kind: score(Timing(lag, lag, kind)), LARGEST_LAG)[0]
+        lag = _least(partial(with_lag, kind), LARGEST_LAG)[0]
         lags.append(Timing(lag, lag, kind))
     alone = [Timing(delay=delay), *lags]
     if min(map(score, alone)) > score(none) - WORTH:
@@ -348,8 +357,8 @@ def _search(score: Callable[[Timing], float]) -> Timing:
     apart = []
     for first in lags:
         kind = first.lag_of
-        lag, late = _descent(lambda at, kind=kind: score(Timing(at[0], at[0], kind, at[1])), [first.lag / 2, delay / 2])
-        up, down, behind = _descent(lambda at, kind=kind: score(Timing(at[0], at[1], kind, at[2])), [lag, lag, late])
+        lag, late = _descent(partial(with_both, kind), [first.lag / 2, delay / 2])
+        up, down, behind = _descent(partial(with_both, kind), [lag, lag, late])
         both.append(Timing(lag, lag, kind, late))
         apart += [Timing(up, down, kind), Timing(up, down, kind, behind)]
     best = [min(group, key=score) for group in ([none], alone, both, apart)]

@@ -362,7 +362,7 @@ def rollout_errors(
                 parts.append(_end_errors(track, starts, steps, vehicle, tracked=tracked, mode=mode))
         if not parts:
             continue
-        row = {"predictor": tracks[0].predictor.name, "mode": "attitude" if vehicle is None else mode}
+        row: Row = {"predictor": tracks[0].predictor.name, "mode": "attitude" if vehicle is None else mode}
         row |= {"horizon": float(horizon), "thrust_tracked": tracked}
         for name in parts[0]:
             values = np.concatenate([part[name] for part in parts])
