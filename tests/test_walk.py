@@ -58,7 +58,7 @@ LANDMARKS = {
     "table": ("report.inference.mean_interval",),
 }
 CONFIGURING = 10  # modules from the words of the command line to the first period
-ENTERED = 62  # modules in which a line runs, of all, without imports; two are plug-ins' (margins, notes on commands)
+ENTERED = 63  # modules in which a line runs, of all, without imports; two are plug-ins' (margins, notes on commands)
 MOST = 22  # one of them the integrator that all plants share
 
 
