@@ -19,7 +19,8 @@ from quadexp.models.dataset import ResidualDataset
 from quadexp.models.residual import THRUST, VELOCITY
 from quadexp.names import named
 from quadexp.plugins.drawing.style import BLUE, COUNTS, ORANGE, Figure, entries, mathematics, styled
-from quadexp.plugins.gaussian_process.gaussian_process import GaussianProcessModel, OutputPosterior
+from quadexp.plugins.gaussian_process.gaussian_process import GaussianProcessModel
+from quadexp.plugins.gaussian_process.posterior import OutputPosterior
 
 CURVE_POINTS = 300  # one a pixel of a panel
 MAX_COLUMNS = 4  # panels beside each other on a page
