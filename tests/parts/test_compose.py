@@ -375,6 +375,11 @@ class TestNoise:
     def test_it_is_another_for_whatever_else_differs(self, other):
         assert self.entropy("seed=1") != self.entropy("seed=1", other)
 
+    @needs("logs", "identification")
+    @pytest.mark.parametrize("file", ["trajectory=file trajectory.path={}", "plant=from_model plant.model={}"])
+    def test_it_is_the_same_in_another_folder(self, file):
+        assert self.entropy(*file.format("a/x").split()) == self.entropy(*file.format("/b/x").split())
+
     def test_hashes_are_the_same_in_every_process_and_version(self):
         assert digest({"b": [1.0, "x"], "a": None}) == hashlib.sha256(b'{"a":null,"b":[1.0,"x"]}').hexdigest()[:20]
 
