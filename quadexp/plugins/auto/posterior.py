@@ -37,33 +37,31 @@ SOURCE = Path(__file__).with_name("posterior.c")
 LATE, PROMPT, BETWEEN = range(3)
 STEPS = np.array([BANK.age_step, BANK.total_step, BANK.lag_step, BANK.age_step])  # of a, D, l, r (s)
 LARGEST = np.array([BANK.largest_age, BANK.largest_dead_time + BANK.largest_lag, BANK.largest_lag, BANK.largest_age])
-# Of age, total and lag (s): mean, deviation, 2.5 and 97.5 % quantiles; by how much rates are newer; log posterior
-FOUND = {"mean": 3, "deviation": 3, "lower": 3, "upper": 3, "newer": 1, "best": 1}
-
-
-# What a grid leaves: the mode (a, D, l, r), its rates, and odds that allow these alone; the likeliest noise models of
-# gyroscope and velocity; log Bayes factors against no age and no total; whether the mode is the last that there is (a,
-# D, l), and whether that of a finer grid is on its edge
-LEFT = {"mode": 4, "rates": 1, "allowed": 3, "chosen": 2, "odds": 2, "at_end": 3, "moved": 1}
+# Of age, total and lag (s): mean, deviation, 2.5 and 97.5 % quantiles; by how much rates are newer (s)
+FOUND = {"mean": 3, "deviation": 3, "lower": 3, "upper": 3, "newer": 1}
+# What a grid leaves: the mode (a, D, l, r); the likeliest noise models of gyroscope and velocity; log Bayes factors
+# against no age and no total; whether the mode is the last that there is (a, D, l), and whether that of a finer grid is
+# on its edge
+LEFT = {"mode": 4, "chosen": 2, "odds": 2, "at_end": 3, "moved": 1}
 
 
 class Search:
     """Operations that look for the posterior of what a bank has seen so far: the coarse grid where flags["searches"],
-    and at most flags["rounds"] finer ones, around its mode, or that of the last finer one. against: odds against rates.
+    and at most flags["rounds"] finer ones, around its mode, or that of the last finer one.
 
     memory: what they leave, by name, which the next instants read.
     """
 
-    def __init__(self, bank: Bank, backend: str, flags: dict[str, np.ndarray], against: np.ndarray) -> None:
+    def __init__(self, bank: Bank, backend: str, flags: dict[str, np.ndarray]) -> None:
         self._flags = flags
         form = Kernel if backend == "compiled" else Posterior
         seen = {name: moments.reshape(-1, moments.shape[-1]) for name, moments in bank.moments.items()}
         seen |= {name: bank.part(name) for name in ("weights", "lateral")}
         nowhere = {"centre": np.zeros(4), "models": np.zeros(2), "rounds": np.zeros(1)}
-        self.coarse = form(bank, 1, seen | {"against": against} | nowhere)
+        self.coarse = form(bank, 1, seen | nowhere)
         self.left = {name: self.coarse.results[name] for name in LEFT}
-        handed = {"against": self.left["allowed"], "centre": self.left["mode"], "models": self.left["chosen"]}
-        self.fine = form(bank, BANK.fine, seen | handed | {"rounds": flags["rounds"]})
+        around = {"centre": self.left["mode"], "models": self.left["chosen"], "rounds": flags["rounds"]}
+        self.fine = form(bank, BANK.fine, seen | around)
         self.found = {name: self.fine.results[name] for name in ("mode", "moved", *FOUND)}
         found = {f"fine_{name}": values for name, values in self.found.items()}
         self.memory = Memory("Search", worked=self.left | found)
@@ -81,9 +79,9 @@ class Posterior(BufferedFunction):
     """The posterior on a grid, on arrays: all hypotheses for fine = 1, or steps a `fine`-th as large within one step of
     `centre`, (a, D, l, r).
 
-    Arguments: moments of the bank, one noise model after another; against: log odds against rates LATE, PROMPT,
-    BETWEEN; of a finer grid models: which noise models count, and rounds: how many grids at most, each around the mode
-    of the last while that is on its edge. Results: LEFT, and of a finer grid FOUND.
+    Arguments: moments of the bank, one noise model after another; of a finer grid models: which noise models count, and
+    rounds: how many grids at most, each around the mode of the last while that is on its edge. Results: LEFT, and of a
+    finer grid FOUND.
     """
 
     def __init__(self, bank: Bank, fine: int, given: Mapping[str, np.ndarray]) -> None:
@@ -112,7 +110,7 @@ class Posterior(BufferedFunction):
         by, age, lag, total = np.meshgrid(newer, ages, lags, totals, indexing="ij", sparse=True)
 
         # rates are newer by up to the age; by less than a step is how they go between readings
-        rates, against = rates_of(age, by), self.arguments["against"]
+        rates = rates_of(age, by)
         impossible = (by > age + INSTANT) | (rates == BETWEEN) & (by < BANK.age_step - INSTANT)
         rates_old = np.maximum(age - by, 0)
         times = points(rates_old.min() + totals[0], rates_old.max() + totals[-1], steps[0])
@@ -124,28 +122,28 @@ class Posterior(BufferedFunction):
         _, of_newer = self._by_readings("attitude", newer)
         likelihood = of_thrust + of_gyro[np.arange(len(lags))[:, None], at_time] + of_age.reshape(age.shape)
         ways = np.minimum(total, BANK.largest_lag) - np.maximum(total - BANK.largest_dead_time, 0)
-        prior = -(age + total) / BANK.mean_delay - np.log(np.maximum(ways, 0) + BANK.lag_step) - against[rates]
+        prior = (
+            -(age + total) / BANK.mean_delay
+            - np.log(np.maximum(ways, 0) + BANK.lag_step)
+            - np.take(BANK.rates_odds, rates)
+        )
         log = np.where(impossible, -NEVER, likelihood + of_newer.reshape(by.shape) + prior)
 
         best = log.max()
         at_newer, at_age, at_lag, at_total = np.unravel_index(log.argmax(), log.shape)
         mode = np.array([ages[at_age], totals[at_total], lags[at_lag], newer[at_newer]])
-        of_mode = rates_of(mode[0], mode[3])
         share = np.exp(log - best)
         shares = share.sum((0, 2, 3)), share.sum((0, 1, 2)), share.sum((0, 1, 3))
         beside = STEPS[[0, 2, 2]] / self.fine  # a total goes along with a lag that is between points of the grid
         spreads = np.array(list(map(_summary, shares, (ages, totals, lags), steps, beside)))
         return {
             "mode": mode,
-            "rates": of_mode,
-            "allowed": np.where(np.arange(3) == of_mode, against, NEVER),
             "chosen": [gyro_model, velocity_model],
             "odds": [best - log[:, 0].max(), best - log[..., 0].max()],
             "at_end": mode[:3] > LARGEST[:3] - INSTANT,
             "moved": not whole and (np.abs(mode - centre) >= STEPS - INSTANT).any(),
             **dict(zip(("mean", "deviation", "lower", "upper"), spreads.T, strict=True)),
-            "newer": spreads[0, 0] if of_mode == PROMPT else mode[3],
-            "best": best,
+            "newer": spreads[0, 0] if rates_of(mode[0], mode[3]) == PROMPT else mode[3],
         }
 
     def _models(self, name: str, chosen: int) -> dict[int, np.ndarray]:
@@ -260,7 +258,8 @@ def kernel_source(bank: Bank) -> str:
     numbers["TURN_NOISE"], numbers["ATTITUDE_NOISE"] = bank.turn_noise
     lines = [f"enum {{ {name} = {count} }};" for name, count in counts.items()]
     lines += [f"#define {name} ((REAL){value!r})" for name, value in numbers.items()]
-    lines.append(f"#define VELOCITY_NOISES {{{', '.join(map(repr, BANK.velocity_models))}}}")
+    for name, values in {"VELOCITY_NOISES": BANK.velocity_models, "RATES_ODDS": BANK.rates_odds}.items():
+        lines.append(f"#define {name} {{{', '.join(map(repr, values))}}}")
     return "\n".join([*lines, SOURCE.read_text(encoding="utf-8")])
 
 
