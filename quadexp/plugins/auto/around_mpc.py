@@ -61,7 +61,7 @@ class AutoMPC(Auto):
         self._resample = BufferedFunction(function, places | {"after": self._memory.of_next["decision"][4:5]})
         moved = self._resample.results
         self._worked = [(to, of.reshape(-1)) for to, of in zip(worked.values(), moved.values(), strict=True)]
-        whole = round(later_speeds(sensor_spec) / self.control_period) * self.control_period  # thrusts jump in between
+        whole = whole_periods(later_speeds(sensor_spec), self.control_period)
         self._delay_line = DelayLine(N_STATE + 4, whole, self.control_period, core.backend)
 
     def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
@@ -109,6 +109,14 @@ class AutoMPC(Auto):
             return tune
         regrids = self._decide.results["regrids"]
         return [*tune, call(self._resample, regrids), *(copy(to, of, regrids) for to, of in self._worked)]
+
+
+def whole_periods(late: float, period: float) -> float:
+    """How much earlier than speeds that are this late the reading is that their thrusts are compared with (s).
+
+    A thrust holds, but for its lag, from one command to the next, and a reading is of the period that it ends.
+    """
+    return math.floor(late / period + DECISION.next_period) * period
 
 
 def mpc_form(
