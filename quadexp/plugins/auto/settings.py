@@ -154,6 +154,7 @@ class DecisionSettings:
     corners_memory: float = 10.0  # s: a path that saturates rotors does so again
     middle: int = 2  # of grids
     largest_lead: float = 2.0  # gain of an inverted lag on a change of thrust; the rest of the lag is predicted: 1.12
+    most_inverted: float = 0.03  # s, of a lag: what that gain is at 50 Hz; slower, commands went from limit to limit
     largest_wait: float = 0.1  # s, over which an MPC predicts
     samples: int = 4  # of the reference in a control period, so that an MPC may ask for later ones
     # Beside the controller's own, which is the softest: 1.64 with that alone. Margins of a nominal MPC at 50 Hz in
