@@ -2,7 +2,7 @@
 
 age               posterior mean, where the Bayes factor against none is very strong
 dead time, lag    posterior mean, where it is positive
-stiffness         by the timing uncertainty  sigma = sd(D) + |D - what is acted on| + sd(a) / 2, the noise of the
+stiffness         by the timing uncertainty  sigma = sd(D) + |D - acted| + max(sd(a), |a - acted|) / 2, the noise of the
                   estimated position, how commands alternate, and whether rotors saturate; one grid at a time towards
                   the stiffer. Where age or total may be any larger one than those of the grid it is the softest.
 
@@ -30,6 +30,7 @@ from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL
 
 UNKNOWN = -1.0  # of what a decision has crossed: neither
 BELIEFS = 10  # age, delay, lag, their lower and their upper ends; by how much rates are newer; behind them what acts
+LONGEST = BANK.largest_age + BANK.largest_dead_time + BANK.largest_lag  # s, that is looked for
 OF_SEARCH = sum(FOUND.values())
 KEPT = {
     "searching": 1,
@@ -46,6 +47,7 @@ KEPT = {
     "at_end": 3,
     "decision": 6,
     "unsure": 1,
+    "late": 1,
     "apart": 1,
     "beliefs": BELIEFS + 4,
 }
@@ -73,18 +75,20 @@ NOTHING = Decision(0.0, 0.0, 0.0, 0.0, 0.0, DISTURBANCE.unknown_timing)  # befor
 
 class Statistics(NamedTuple):
     """What is measured beside the delays. position: noise of the estimated one (m). saturated, saturates: shares of
-    commands at a limit, lately and over longer. acts: whether a disturbance is assumed."""
+    commands at a limit, lately and over longer. acts: whether a disturbance is assumed. stiffest: of the grids that
+    what has been seen so far is enough for."""
 
     position: Expression = 0.0
     saturated: Expression = 0.0
     saturates: Expression = 0.0
     acts: Expression = 0.0
+    stiffest: Expression = len(DECISION.grids)
 
 
 def decided(known: Expression, found: Mapping[str, Expression], last: Decision, statistics: Statistics) -> Decision:
     """What to act on from now on. found: mean and deviation, (3,), newer, odds, (2,), at_end, (3,), of a posterior;
     known: whether there is one."""
-    s, stiffest = DECISION, len(DECISION.grids)
+    s = DECISION
     age, total, lag = ca.vertsplit(found["mean"])
     of_age, of_total = ca.vertsplit(found["odds"])
     needed = s.age_odds * (1 + s.between / ca.fmax(age, s.least_age))
@@ -95,16 +99,19 @@ def decided(known: Expression, found: Mapping[str, Expression], last: Decision, 
     before = ca.vertcat(last.age, last.total, last.lag, last.newer)
     small = ca.mmax(ca.fabs(wanted - before)[:2]) < s.least_change
     age, acted, lag, newer = ca.vertsplit(ca.if_else(small, before, wanted))
-    timing = found["deviation"][1] + ca.fabs(total - acted) + found["deviation"][0] / 2
+    late = ca.fmax(found["deviation"][0], ca.fabs(found["mean"][0] - age))  # also an age that does not act yet
+    timing = found["deviation"][1] + ca.fabs(total - acted) + late / 2
     grid = sum(timing + s.inexact * (age + acted) < one.timing for one in s.grids)
     noisy = ca.logic_or(statistics.position > s.large_noise, statistics.saturates > s.saturates)
-    grid = ca.fmin(grid, stiffest - ca.logic_or(acted >= s.stiff_total, noisy))
+    grid = ca.fmin(grid, len(s.grids) - ca.logic_or(acted >= s.stiff_total, noisy))
     grid = ca.fmin(grid, last.grid + 1)
     grid = ca.if_else(statistics.saturated > s.saturated, ca.fmin(grid, s.middle), grid)
     grid = ca.if_else(ca.mmax(found["at_end"][:2]) > 0, 0, grid)
     # without evidence the softest grid would let the error stand for a second
-    unknown = ca.vertcat(*last[:4], ca.fmax(last.grid, statistics.acts), last.timing)
-    return Decision(*ca.vertsplit(ca.if_else(known, ca.vertcat(age, acted - lag, lag, newer, grid, timing), unknown)))
+    grid = ca.if_else(known, grid, ca.fmax(last.grid, statistics.acts))
+    grid = ca.fmin(grid, statistics.stiffest)
+    found_now = ca.vertcat(age, acted - lag, lag, newer, grid, timing)
+    return Decision(*ca.vertsplit(ca.if_else(known, found_now, ca.vertcat(*last[:4], grid, last.timing))))
 
 
 def known(age: float, dead_time: float, lag: float) -> Decision:
@@ -120,7 +127,8 @@ def known(age: float, dead_time: float, lag: float) -> Decision:
 def start_of(begin: Decision) -> dict[str, Any]:
     """What is remembered of decisions as a flight begins, but for zeros."""
     beliefs = [*[0.0] * 3, *[np.nan] * 6, *[0.0] * 5]
-    return {"next": DECISION.begins, "crossed": np.full(4, UNKNOWN), "decision": np.array(begin), "beliefs": beliefs}
+    start = {"next": DECISION.begins, "crossed": np.full(4, UNKNOWN), "decision": np.array(begin), "beliefs": beliefs}
+    return start | {"late": DISTURBANCE.unknown_timing}
 
 
 def decision_function(
@@ -147,7 +155,10 @@ def decision_function(
     share = looks * ca.if_else(soon, s.soonest, s.checks) / s.corners_memory
     saturates = kept["saturates"] + share * (saturated - kept["saturates"])
     position = ca.sqrt(ca.fmax(a["noise"][1], 0)) * (elapsed > BANK.measured_after)
-    statistics = Statistics(position, saturated, saturates, ca.mmax(a["acts"]) > 0)
+    # a few readings fit any delay by chance, and a long one shows no response before it has passed
+    enough = a["count"] >= s.few_readings
+    stiffest = ca.if_else(elapsed < LONGEST, 1, len(s.grids)) * enough
+    statistics = Statistics(position, saturated, saturates, ca.mmax(a["acts"]) > 0, stiffest)
     crossed = ca.vertcat(position > s.large_noise, saturated > s.saturated, saturates > s.saturates, statistics.acts)
     often, seldom = (max(1, round(each / period)) for each in (s.soonest, s.checks))
 
@@ -174,7 +185,7 @@ def decision_function(
     age, _, lag = ca.vertsplit(of["mean"])
     untold = ca.hypot(apart, ca.hypot(unsaid * age / INTERVAL.band, INTERVAL.unlike * lag))
     unsure = ca.if_else(done, untold, kept["unsure"])
-    late = ca.fabs(age - acts.age) * is_known  # age that does not act
+    late = ca.fabs(age - acts.age)  # age that does not act
     beside = INTERVAL.band * ca.hypot(INTERVAL.inexact * of["mean"], unsure)
     lower = ca.fmax(of["mean"] - ca.hypot(of["mean"] - of["lower"], beside), 0)
     upper = of["mean"] + ca.hypot(of["upper"] - of["mean"], beside)
@@ -195,7 +206,8 @@ def decision_function(
         "at_end": at_end,
         "decision": decision,
         "unsure": unsure,
-        "apart": ca.hypot(unsure, ca.hypot(late, s.inexact * (acts.age + acts.total))),
+        "late": ca.if_else(ca.logic_and(is_known, enough), late, kept["late"]),
+        "apart": ca.hypot(unsure, ca.hypot(late * is_known, s.inexact * (acts.age + acts.total))),
         "beliefs": ca.vertcat(beliefs, decision[:3], acts.grid),
     }
     results = {NEXT + name: left[name] for name in KEPT}
