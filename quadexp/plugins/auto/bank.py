@@ -32,7 +32,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, InputArrays, call, copy
 from quadexp.models.residual import Residual
-from quadexp.physics.expression import Expression, named_function, named_symbols
+from quadexp.physics.expression import Expression, limited, named_function, named_symbols
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -203,9 +203,9 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     thrust_gain = first_order_gain(BANK.thrust_walk * math.sqrt(period) / BANK.thrust_noise)
     gains = [stationary_gain(*model, period) for model in BANK.gyro_models for _ in range(2)]
     gain = ca.DM([*gains, (thrust_gain, 0.0)])
-    rates = ca.horzcat(w[:2], ca.DM.zeros(2))
-    thrusts = ca.horzcat(f[2] - air[2], ca.sum1(sent) / vehicle.mass)
-    reading = ca.vertcat(ca.repmat(rates, GYROS, 1), thrusts)
+    of_rates = ca.horzcat(w[:2], ca.DM.zeros(2))
+    of_thrust = ca.horzcat(f[2] - air[2], ca.sum1(sent) / vehicle.mass)
+    reading = ca.vertcat(ca.repmat(of_rates, GYROS, 1), of_thrust)
     drive = ca.vertcat(ca.repmat(ca.horzcat(turning, -spin), GYROS, 1), ca.DM.zeros(1, 2))
     value, bias = ca.horzsplit(ca.reshape(kept["filters"], CHANNELS, 4), 2)
     predicted = value + period * (bias + drive)
@@ -253,8 +253,8 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     measured = (-ca.dot(change, kept["change"]) / 2, ca.sum1(products[:3]) / 3, ca.sum1(products[3:]) / 3)
     share = ca.fmax(1 / (count + 5), period / BANK.noise_memory) * (count > 2) * ca.vertcat(read, 1, 1)
     noise = kept["noise"] + share * (ca.vertcat(*measured) - kept["noise"])
-    within = [(a["stated"] * BANK.sheet_factor**sign) ** 2 for sign in (-1, 1)]
-    lateral = ca.fmin(ca.fmax(noise[0], within[0]), within[1])
+    least, most = ((a["stated"] * BANK.sheet_factor**sign) ** 2 for sign in (-1, 1))
+    lateral = limited(noise[0], least, most)
 
     now = {
         "count": count,
