@@ -30,7 +30,6 @@ from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL
 
 UNKNOWN = -1.0  # of what a decision has crossed: neither
 BELIEFS = 10  # age, delay, lag, their lower and their upper ends; by how much rates are newer; behind them what acts
-LONGEST = BANK.largest_age + BANK.largest_dead_time + BANK.largest_lag  # s, that is looked for
 OF_SEARCH = sum(FOUND.values())
 KEPT = {
     "searching": 1,
@@ -155,10 +154,8 @@ def decision_function(
     share = looks * ca.if_else(soon, s.soonest, s.checks) / s.corners_memory
     saturates = kept["saturates"] + share * (saturated - kept["saturates"])
     position = ca.sqrt(ca.fmax(a["noise"][1], 0)) * (elapsed > BANK.measured_after)
-    # a few readings fit any delay by chance, and a long one shows no response before it has passed
     enough = a["count"] >= s.few_readings
-    stiffest = ca.if_else(elapsed < LONGEST, 1, len(s.grids)) * enough
-    statistics = Statistics(position, saturated, saturates, ca.mmax(a["acts"]) > 0, stiffest)
+    statistics = Statistics(position, saturated, saturates, ca.mmax(a["acts"]) > 0, len(s.grids) * enough)
     crossed = ca.vertcat(position > s.large_noise, saturated > s.saturated, saturates > s.saturates, statistics.acts)
     often, seldom = (max(1, round(each / period)) for each in (s.soonest, s.checks))
 
