@@ -9,9 +9,7 @@ stiffness         by the timing uncertainty  sigma = sd(D) + |D - acted| + max(s
 
 A look at the evidence begins a search for the posterior where one is due: the coarse grid in the next instant, finer
 ones in those after it, each where the last one ended, until one's mode is not on its edge. As a flight begins, all are
-in one instant: each further one that passes until an age of 50 ms acts costs 10 to 30 mm at 10 m/s. Where rates turn
-out to lie between the pose and now, one more number fits what lies between the points of a coarse grid: there is a
-second search without them, and the likelier of both counts.
+in one instant: each further one that passes until an age of 50 ms acts costs 10 to 30 mm at 10 m/s.
 """
 
 from __future__ import annotations
@@ -28,15 +26,14 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.physics.expression import Expression, dense_function, limited, named_symbols, split
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.auto.posterior import BETWEEN, FOUND
-from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL, NEVER
+from quadexp.plugins.auto.posterior import FOUND
+from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL
 
 UNKNOWN = -1.0  # of what a decision has crossed: neither
-IDLE, FIRST, SECOND = range(3)  # searches for a posterior, the second without rates between pose and now
 BELIEFS = 10  # age, delay, lag, their lower and their upper ends; by how much rates are newer; behind them what acts
 OF_SEARCH = sum(FOUND.values())
 KEPT = {
-    "phase": 1,
+    "searching": 1,
     "passes": 1,
     "wait": 1,
     "saturates": 1,
@@ -45,8 +42,6 @@ KEPT = {
     "known": 1,
     "searches": 1,
     "rounds": 1,
-    "against": 3,
-    "candidate": OF_SEARCH,
     "found": OF_SEARCH,
     "odds": 2,
     "at_end": 3,
@@ -141,15 +136,15 @@ def decision_function(
 ) -> ca.Function:
     """Memory after an instant, see KEPT, and whether a decision is another one than the last, or its grid is.
 
-    count, weights, noise: of the bank. commands: the last ones (N). acts: of the disturbance. rates, odds, at_end: of
+    count, weights, noise: of the bank. commands: the last ones (N). acts: of the disturbance. odds, at_end: of
     the coarse grid; moved and FOUND of the finer one. apart: by which age and delays cannot be distinguished
     (s). unsaid: whether nobody says how old rates are beside the pose.
     """
-    s, searched = DECISION, {"rates": 1, "odds": 2, "at_end": 3, "moved": 1} | FOUND
+    s, searched = DECISION, {"odds": 2, "at_end": 3, "moved": 1} | FOUND
     shapes = {"count": 1, "weights": 3, "noise": 3, "commands": commands, "acts": 3, **searched}
     a = named_symbols(ca.SX, shapes | {NOW + name: size for name, size in KEPT.items()})
     kept = {name: a[NOW + name] for name in KEPT}
-    phase, last = kept["phase"], Decision(*ca.vertsplit(kept["decision"]))
+    searching, last = kept["searching"], Decision(*ca.vertsplit(kept["decision"]))
 
     # a look at what is measured
     elapsed = ca.fmax(a["count"] * bank_period - BANK.settling, 0)
@@ -167,23 +162,17 @@ def decision_function(
 
     # the search goes on, or ends
     refined, passes = kept["rounds"] > 0, kept["passes"] + kept["rounds"]
-    settled = refined * ca.logic_or(ca.logic_not(a["moved"]), passes >= BANK.passes)
-    again = settled * (phase == FIRST) * (a["rates"] == BETWEEN)
-    done = settled * ca.logic_not(again)
+    done = refined * ca.logic_or(ca.logic_not(a["moved"]), passes >= BANK.passes)
     due = ca.logic_and(elapsed + period >= kept["next"], a["weights"][1] > 0)  # the search is in the next instant
-    due = looks * due * ca.logic_or(phase == IDLE, done)
-    here = ca.vertcat(*(a[name] for name in FOUND))
-    other = ca.logic_and(phase == SECOND, kept["candidate"][-1] > here[-1])
-    found = ca.if_else(done, ca.if_else(other, kept["candidate"], here), kept["found"])
-    first = refined * (phase == FIRST)
-    odds, at_end = (ca.if_else(first, a[name], kept[name]) for name in ("odds", "at_end"))
+    due = looks * due * ca.logic_or(ca.logic_not(searching), done)
+    found = ca.if_else(done, ca.vertcat(*(a[name] for name in FOUND)), kept["found"])
+    odds, at_end = (ca.if_else(refined, a[name], kept[name]) for name in ("odds", "at_end"))
     of = dict(zip(FOUND, split(found, FOUND.values()), strict=True)) | {"odds": odds, "at_end": at_end}
-    searches = ca.logic_or(due, again)
-    now = ca.if_else(due, FIRST, ca.if_else(again, SECOND, ca.if_else(done, IDLE, phase)))
+    now = ca.logic_or(due, searching * ca.logic_not(done))
 
     # the decision
     is_known = ca.fmax(kept["known"], done)
-    decides = ca.logic_or(done, looks * (phase == IDLE) * (ca.mmax(ca.fabs(crossed - kept["crossed"])) > 0))
+    decides = ca.logic_or(done, looks * ca.logic_not(searching) * (ca.mmax(ca.fabs(crossed - kept["crossed"])) > 0))
     decision = ca.vertcat(*decided(is_known, of, last, statistics))
     decision = ca.if_else(decides, decision, kept["decision"])
     differs = ca.fabs(decision - kept["decision"]) > 0
@@ -201,17 +190,15 @@ def decision_function(
     beliefs = ca.vertcat(of["mean"], lower, ca.if_else(at_end, math.inf, upper), of["newer"])
     beliefs = ca.if_else(done, beliefs, kept["beliefs"][:BELIEFS])
     left = {
-        "phase": now,
-        "passes": ca.if_else(searches, 0, passes),
+        "searching": now,
+        "passes": ca.if_else(due, 0, passes),
         "wait": ca.if_else(looks, ca.if_else(soon, often, seldom), kept["wait"]) - 1,
         "saturates": saturates,
         "next": ca.if_else(due, elapsed + limited(s.pace * elapsed, s.soonest, s.latest), kept["next"]),
         "crossed": ca.if_else(decides, crossed, kept["crossed"]),
         "known": is_known,
-        "searches": searches,
-        "rounds": (now > IDLE) * ca.if_else(soon, BANK.passes, ca.logic_not(searches)),
-        "against": ca.vertcat(*BANK.rates_odds[:2], ca.if_else(now == SECOND, NEVER, BANK.rates_odds[2])),
-        "candidate": ca.if_else(again, here, kept["candidate"]),
+        "searches": due,
+        "rounds": now * ca.if_else(soon, BANK.passes, ca.logic_not(due)),
         "found": found,
         "odds": odds,
         "at_end": at_end,
