@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +24,8 @@ import quadexp.control.compiled_loop as compiled_loop
 import quadexp.control.mpc.stages as stages
 from quadexp.compile.symbolic import ca
 from quadexp.control.control_step import Call
+from quadexp.control.mpc.node import Form
+from quadexp.control.mpc.step import array_shapes
 from quadexp.control.mpc.mpc import MAX_TURN, PLAIN_ITERATIONS, TOLERANCE
 from quadexp.experiment.rollout import SampledReference
 from quadexp.physics.state import N_STATE
@@ -48,12 +51,14 @@ SHARED: tuple[str, ...] = (
     "node_frame",
     "node_lanes",
 )
-SHARED += ("node_memory", "has_lanes", "linearise", "held", "frame", "mpc_work")
+SHARED += ("node_memory", "has_lanes", "linearise", "held", "frame", "mpc_work", "mpc_rows")
 HELPERS = re.compile(  # what CasADi adds for programs that ask a library about its functions
     r"CASADI_SYMBOL_EXPORT [^\n]*_(?:checkout|release|incref|decref|n_in|n_out|default_in|name_in|name_out|sparsity_in|"
     r"sparsity_out|work|work_bytes|casadi_version|casadi_int_size|casadi_real_size)\([^)]*\)\s*"
     r"\{(?:[^{}]|\{[^{}]*\})*\}\n"
 )
+WORK = re.compile(r"\*sz_w = (\d+);")
+TESTED = re.compile(r"\b(arg\[\d+\])\? (\1\[\d+\]) : 0")  # no argument with numbers is null: a third of the code
 LITERAL = re.compile(r"(?<![\w.])(\d+\.\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|\d+[eE][-+]?\d+)(?![\w.])")
 QUIET = "".join(  # of generated code: arguments and tables that a function does not need; truth of a number
     f'#pragma GCC diagnostic ignored "-W{name}"\n'
@@ -134,10 +139,13 @@ def program(controller: Any, names: Names, start: tuple[ca.Function | None, list
         for name, array in mpc.step.arguments.items():
             arrays.add(array, written=name in (*solved, "shift"), cleared=name in solved, changed=name in CHANGEABLE)
         place = node_memory(mpc)
+        shapes = array_shapes(scalar_form(mpc), len(mpc.step.arguments["U"]))[1]
         for name, array in mpc.step.results.items():
-            if name in LENT and not is_read(array, instant.calls):
+            if name == "rows":
+                arrays.lent[array.ctypes.data] = "mpc_rows", 0
+            elif name in LENT and not is_read(array, instant.calls):
                 arrays.lent[array.ctypes.data] = "mpc_work", place
-                place += array.size
+                place += math.prod(shapes[name])
             elif name in REPLACED:
                 arrays.shared[array.ctypes.data] = mpc.step.results[REPLACED[name]]
             else:
@@ -195,8 +203,9 @@ def real_h(names: Names) -> str:
 
 
 def in_precision(source: str, names: Names) -> str:
-    """Code that CasADi generated, without what a program would ask a library, with literals of the precision."""
-    source = HELPERS.sub("", source)
+    """Code that CasADi generated, without what a program would ask a library, and without the test of each argument
+    before each of its numbers is read; with literals of the precision."""
+    source = TESTED.sub(r"\2", HELPERS.sub("", source))
     return LITERAL.sub(r"\1f", source) if names.real == "float" else source
 
 
@@ -220,29 +229,38 @@ def model_c(exported: Program, functions: Sequence[ca.Function]) -> str:
     return f'#include "real.h"\n{QUIET}{renamed}{body}{in_precision(texts, names)}'
 
 
-def node_c(exported: Program) -> str:
-    """The functions of a node of the MPC."""
-    mpc = exported.plan.mpc
-    functions = stages.node_functions(mpc.vehicle, mpc.residual, mpc.step.form)
-    return f'#include "real.h"\n{QUIET}{in_precision(stages.node_source(functions), exported.names)}'
+def scalar_form(mpc: Any) -> Form:
+    """The form of the MPC's step, with rows that are not padded to vector registers."""
+    return replace(mpc.step.form, width=1)
+
+
+def node_source(mpc: Any) -> str:
+    """The functions of a node of the MPC, as CasADi generates them."""
+    return stages.node_source(stages.node_functions(mpc.vehicle, mpc.residual, scalar_form(mpc)))
 
 
 def node_memory(mpc: Any) -> int:
-    """Numbers of work of the functions of a node."""
-    functions = stages.node_functions(mpc.vehicle, mpc.residual, mpc.step.form)
-    return max(function.sz_w() for function in functions)
+    """Numbers of work that the code of these functions needs: less than CasADi's own functions, which copy inputs."""
+    return max(int(size) for size in WORK.findall(node_source(mpc)))
+
+
+def node_c(exported: Program) -> str:
+    """The functions of a node of the MPC."""
+    return f'#include "real.h"\n{QUIET}{in_precision(node_source(exported.plan.mpc), exported.names)}'
 
 
 def mpc_c(exported: Program) -> str:
     """The MPC's step. Its work is that of a node with the results that are lent to it, or that of mpc_bounded."""
     mpc = exported.plan.mpc
-    nodes = len(mpc.step.arguments["U"])
-    needed = node_memory(mpc) + sum(mpc.step.results[name].size for name in LENT)
+    nodes, form = len(mpc.step.arguments["U"]), scalar_form(mpc)
+    shapes = array_shapes(form, nodes)[1]
+    needed = node_memory(mpc) + sum(math.prod(shapes[name]) for name in LENT)
     return (
-        f'#include "real.h"\n{stages.stages_constants(mpc.step.form)}#include "stages.c"\n'
+        f'#include "real.h"\n{stages.stages_constants(form)}#include "stages.c"\n'
         f"enum {{ NODES = {nodes}, NEEDED = {needed} }};\n"
-        "extern real mpc_work[];\n"
+        "extern real mpc_work[], mpc_rows[];\n"
         "real mpc_work[BOUNDED_MEMORY(NODES) > NEEDED ? BOUNDED_MEMORY(NODES) : NEEDED];\n"
+        "real mpc_rows[NODES * BLOCK];\n"
     )
 
 
@@ -470,7 +488,7 @@ def plan_lines(exported: Program) -> list[str]:
     steps = min(mpc.settings.initial_iterations, PLAIN_ITERATIONS)
     return [
         *(f"int {phase}(const real **, real **, integer *, real *, int);" for phase in PHASES.values()),
-        "extern real mpc_work[];",
+        "extern real mpc_work[], mpc_rows[];",
         f"static const real *plan_given[] = {{{', '.join(argument_places)}}};",
         f"static real *plan_left[] = {{{', '.join(result_places)}}};",
         f"static integer plan_sizes[] = {{{nodes}, {step.form.parameters}}};",
