@@ -144,14 +144,14 @@ def decision_function(
     phase, last = kept["phase"], Decision(*ca.vertsplit(kept["decision"]))
 
     # a look at what is measured
-    elapsed = ca.fmax(a["count"] * bank_period - BANK.settling, 0)
-    looks, soon = kept["wait"] <= 0, elapsed < s.early
+    elapsed, rounding = ca.fmax(a["count"] * bank_period - BANK.settling, 0), s.rounding * period
+    looks, soon = kept["wait"] <= 0, elapsed + rounding < s.early
     low, high = vehicle.thrust_min, vehicle.thrust_max
     off = ca.fabs(a["commands"] - (low + high) / 2)
     saturated = ca.sum1(off > s.at_limit * (high - low) / 2) / commands
     share = looks * ca.if_else(soon, s.soonest, s.checks) / s.corners_memory
     saturates = kept["saturates"] + share * (saturated - kept["saturates"])
-    position = ca.sqrt(ca.fmax(a["noise"][1], 0)) * (elapsed > BANK.measured_after)
+    position = ca.sqrt(ca.fmax(a["noise"][1], 0)) * (elapsed > BANK.measured_after + rounding)
     statistics = Statistics(position, saturated, saturates, ca.mmax(a["acts"]) > 0)
     crossed = ca.vertcat(position > s.large_noise, saturated > s.saturated, saturates > s.saturates, statistics.acts)
     often, seldom = (max(1, round(each / period)) for each in (s.soonest, s.checks))
@@ -161,7 +161,8 @@ def decision_function(
     settled = refined * ca.logic_or(ca.logic_not(a["moved"]), passes >= BANK.passes)
     again = settled * (phase == FIRST) * (a["rates"] == BETWEEN)
     done = settled * ca.logic_not(again)
-    due = ca.logic_and(elapsed + period >= kept["next"], a["weights"][1] > 0)  # the search is in the next instant
+    due = elapsed + period - rounding >= kept["next"]  # the search is in the next instant
+    due = ca.logic_and(due, a["weights"][1] > 0)
     due = looks * due * ca.logic_or(phase == IDLE, done)
     here = ca.vertcat(*(a[name] for name in FOUND))
     other = ca.logic_and(phase == SECOND, kept["candidate"][-1] > here[-1])

@@ -134,6 +134,7 @@ class DecisionSettings:
     latest: float = 0.5  # s, and at most
     checks: float = 0.1  # s, between looks at saturation
     begins: float = 0.02  # s, of evidence for the first posterior
+    rounding: float = 0.01  # of a control period, by which times may be off in single precision after 1000 s
     early: float = 0.6  # s, of looks every `soonest`: a push or a late pose is found by then
     age_odds: float = 5.0  # log Bayes factor against no age: very strong (Kass & Raftery 1995)
     between: float = 0.015  # s, of an age that needs twice as much: how a force goes between readings is not known
