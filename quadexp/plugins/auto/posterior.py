@@ -32,7 +32,7 @@ from quadexp.physics.expression import named_function, named_symbols
 from quadexp.plugins.auto.bank import AXES, GYROS, Bank, Layout, first_order_gain
 from quadexp.plugins.auto.responses import command_weights, reading_weights
 from quadexp.plugins.auto.settings import BANK, NEVER, QUANTILES
-from quadexp.plugins.remedies.sent_commands import INSTANT
+from quadexp.plugins.remedies.sent_commands import INSTANT, NO_LAG
 
 SOURCE = Path(__file__).with_name("posterior.c")
 LATE, PROMPT, BETWEEN = range(3)
@@ -273,11 +273,11 @@ def kernel_source(about: BankSettings) -> str:
         "MOST": times * max(whole[2], steps),
     }
     numbers = {name.upper(): value for name, value in vars(BANK).items() if isinstance(value, float)}
-    numbers |= {"PERIOD": about.period, "INSTANT": INSTANT, "NEVER": NEVER}
+    numbers |= {"PERIOD": about.period, "INSTANT": INSTANT, "NO_LAG": NO_LAG, "NEVER": NEVER}
     numbers |= dict(zip(("SPAN_FORCE", "SPAN_RATE"), about.spans, strict=True))
     numbers |= dict(zip(("TURN_NOISE", "ATTITUDE_NOISE"), about.turn_noise, strict=True))
     lines = [f"enum {{ {name} = {count} }};" for name, count in counts.items()]
-    lines += [f"#define {name} ((REAL){value!r})" for name, value in numbers.items()]
+    lines += [f"#define {name} ((SUM){value!r})" for name, value in numbers.items()]
     lines.append(f"#define VELOCITY_NOISES {{{', '.join(map(repr, BANK.velocity_models))}}}")
     return "\n".join([*lines, SOURCE.read_text(encoding="utf-8")])
 
