@@ -24,9 +24,9 @@ import quadexp.control.compiled_loop as compiled_loop
 import quadexp.control.mpc.stages as stages
 from quadexp.compile.symbolic import ca
 from quadexp.control.control_step import Call
+from quadexp.control.mpc.mpc import MAX_TURN, PLAIN_ITERATIONS, TOLERANCE
 from quadexp.control.mpc.node import Form
 from quadexp.control.mpc.step import array_shapes
-from quadexp.control.mpc.mpc import MAX_TURN, PLAIN_ITERATIONS, TOLERANCE
 from quadexp.experiment.rollout import SampledReference
 from quadexp.physics.state import N_STATE
 from quadexp.plugins.vehicle.arrays import Arrays, span
@@ -81,6 +81,8 @@ class Names(NamedTuple):
         """A number as C."""
         if not math.isfinite(value):
             raise ValueError(f"{value} is no number of a controller")
+        if self.real == "float":
+            value = float(np.float32(value))
         if value == int(value) and abs(value) < 1e6:
             return f"{int(value)}"
         if self.real == "double":
@@ -125,7 +127,7 @@ def program(controller: Any, names: Names, start: tuple[ca.Function | None, list
         arrays.add(memory.now, written=True, cleared=True)
     for entry in calls:
         window = entry.kind == "window"
-        arrays.add(entry.to, written=True, cleared=window)
+        arrays.add(entry.to, written=True, cleared=window, summed=entry.kind == "gather")
         arrays.add(entry.other, written=True, cleared=window)
         arrays.add(entry.source)
         arrays.add(entry.when)
@@ -198,6 +200,7 @@ def real_h(names: Names) -> str:
     lines += ["#define INTEGER int", "#define casadi_real REAL", "#define casadi_int INTEGER", "#define SCALAR"]
     if names.real == "float":
         lines += [f"#define {name} {name}f" for name in FUNCTIONS]
+    lines += ["#define SUM double"]
     lines += [f"#define {name} {names.prefix}_{name}" for name in SHARED]
     return "\n".join(lines) + "\n"
 
@@ -225,8 +228,9 @@ def model_c(exported: Program, functions: Sequence[ca.Function]) -> str:
             generator.add(function)
     renamed = "".join(f"#define {entry.name()} {names.prefix}_{entry.name()}\n" for entry in functions)
     body = in_precision(generator.dump(), names) if functions else ""
-    texts = "\n".join(dict.fromkeys(written.values()))  # several functions may be of one text
-    return f'#include "real.h"\n{QUIET}{renamed}{body}{in_precision(texts, names)}'
+    texts = "".join(f"#undef {name}\n" for name in FUNCTIONS if written)  # these compute in double, as their sums are
+    texts += "\n".join(dict.fromkeys(written.values()))  # several functions may be of one text
+    return f'#include "real.h"\n{QUIET}{renamed}{body}{texts}'
 
 
 def scalar_form(mpc: Any) -> Form:
@@ -401,6 +405,7 @@ def controller_c(exported: Program) -> str:
     lines += [f"enum {{ ROTORS = {vehicle.n_rotors}, ROWS = {exported.rows}, RAM = {max(len(image), 1)} }};"]
     lines += [f"enum {{ IMAGE = {len(begins)}, ROUND = {math.lcm(*(o.every for o in exported.calls))} }};"]
     lines += ["static real ram[RAM];"]
+    lines += [f"enum {{ SUMS = {len(arrays.contents('sums'))} }};", "static sum sums[SUMS + 1];"]
     lines += [f"static real w[{work}];", f"static integer iw[{places}];"] if functions or called else []
     lines += [f"static real numbers[] = {{{names.literals(arrays.contents('numbers'))}}};"]
     if len(arrays.contents("rom")):
