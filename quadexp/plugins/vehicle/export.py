@@ -30,7 +30,7 @@ from quadexp.names import sha256_of
 from quadexp.parts.compose import compose
 from quadexp.parts.options import Folders
 from quadexp.parts.schema import Config, remedies
-from quadexp.plugins.vehicle import generate
+from quadexp.plugins.vehicle import generate, tables, texts
 from quadexp.plugins.vehicle.record import OF_LOOP, Recorder, compiled_period, recorded
 from quadexp.plugins.vehicle.start import check_start, start_function
 from quadexp.provenance import versions
@@ -116,21 +116,21 @@ def folder_of(
     functions = [function for _, function in generate.functions_of(exported).values()]
     functions += [start[0]] if start[0] is not None else []
     files: dict[str, str | bytes] = {
-        "controller.h": generate.controller_h(exported, about, len(reference)),
-        "controller.c": generate.controller_c(exported),
+        "controller.h": texts.controller_h(exported, about, len(reference)),
+        "controller.c": tables.controller_c(exported),
         "model.c": generate.model_c(exported, functions),
         "real.h": generate.real_h(names),
-        "table.c": generate.table_c(exported, reference),
+        "table.c": texts.table_c(exported, reference),
     }
-    texts = [generate.HERE / name for name in ("vehicle.c", "reference.c", "check.c")]
-    texts += generate.KERNELS[:1]
+    copies = [generate.HERE / name for name in ("vehicle.c", "reference.c", "check.c")]
+    copies += generate.KERNELS[:1]
     if exported.plan is not None:
         files |= {"mpc.c": generate.mpc_c(exported), "node.c": generate.node_c(exported)}
-        texts += generate.KERNELS[1:]
-    files |= {text.name: text.read_text(encoding="utf-8") for text in texts}
+        copies += generate.KERNELS[1:]
+    files |= {text.name: text.read_text(encoding="utf-8") for text in copies}
     files |= checked_files(exported, controller, plant, reference, flight)
-    files |= build_files(exported, list(files))
-    files["README.md"] = readme(exported, about, flight, files)
+    files |= texts.build_files(exported, files)
+    files["README.md"] = texts.readme(exported, about, len(flight.rows))
     files |= manifest(config, controller, names, files)
     return files
 
@@ -219,40 +219,6 @@ def description(config: Config, controller: Any, names: generate.Names) -> list[
         f"vehicle={config.vehicle.name} ({fingerprint}), {1 / controller.control_period:g} Hz, {names.real}",
         f"checked on trajectory={config.trajectory.name} plant={config.plant.name} world={config.world}",
     ]
-
-
-def build_files(exported: generate.Program, files: Sequence[str]) -> dict[str, str]:
-    """Makefile and CMakeLists.txt."""
-    sources = [name for name in ("controller.c", "model.c", "mpc.c", "node.c", "table.c") if name in files]
-    plant = "plant.c" if "plant.c" in files else ""
-    texts = {
-        name: (generate.HERE / f"{name}.in").read_text(encoding="utf-8") for name in ("Makefile", "CMakeLists.txt")
-    }
-    values = {"@SOURCES@": " ".join(sources), "@PLANT@": plant, "@NAME@": exported.names.prefix}
-    for name in texts:
-        for key, value in values.items():
-            texts[name] = texts[name].replace(key, value)
-    return texts
-
-
-def readme(exported: generate.Program, about: Sequence[str], flight: Recorder, files: Mapping[str, Any]) -> str:
-    """What the folder is, how it is used, and its limits."""
-    text = (generate.HERE / "README.md.in").read_text(encoding="utf-8")
-    bytes_of = 8 if exported.names.real == "double" else 4
-    sizes = {name: bytes_of * len(exported.arrays.contents(name)) for name in ("ram", "numbers", "rom")}
-    sizes["sums"] = 8 * len(exported.arrays.contents("sums"))
-    values = {
-        "@ABOUT@": "\n".join(f"    {line}" for line in about),
-        "@PREFIX@": exported.names.prefix,
-        "@UPPER@": exported.names.upper,
-        "@PERIOD@": f"{exported.controller.control_period:g}",
-        "@SIZES@": ", ".join(f"{name} {size / 1000:.1f} kB" for name, size in sizes.items()),
-        "@STEPS@": str(len(flight.rows)),
-        "@CHANGEABLE@": ", ".join(name for name, _ in generate.changeable(exported)) or "nothing",
-    }
-    for key, value in values.items():
-        text = text.replace(key, value)
-    return text
 
 
 def manifest(
