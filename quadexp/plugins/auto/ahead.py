@@ -118,6 +118,7 @@ class CommandsAhead:
     def __init__(self, mpc: ModelPredictiveController) -> None:
         self.sent = sent_commands(mpc.vehicle, mpc.settings.control_period)
         self.memory = self.sent.memory
+        self.memory.owner = "CommandsAhead"  # beside the SentCommands of the controller around
         shared = {"theta": mpc.parameters} | ({} if mpc.disturbance is None else {"push": mpc.disturbance})
         self.ahead = Ahead(mpc.vehicle, mpc.residual, mpc.backend, self.sent, shared, DECISION.largest_wait)
         self.delivered = Delivered(self.sent, mpc.backend, 1)

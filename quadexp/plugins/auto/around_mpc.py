@@ -61,7 +61,7 @@ class AutoMPC(Auto):
         self._resample = BufferedFunction(function, places | {"after": self._memory.of_next["decision"][4:5]})
         moved = self._resample.results
         self._worked = [(to, of.reshape(-1)) for to, of in zip(worked.values(), moved.values(), strict=True)]
-        whole = round(later_speeds(sensor_spec) / self.control_period) * self.control_period  # thrusts jump in between
+        whole = whole_periods(later_speeds(sensor_spec), self.control_period)
         self._delay_line = DelayLine(N_STATE + 4, whole, self.control_period, core.backend)
 
     def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
@@ -111,13 +111,22 @@ class AutoMPC(Auto):
         return [*tune, call(self._resample, regrids), *(copy(to, of, regrids) for to, of in self._worked)]
 
 
+def whole_periods(late: float, period: float) -> float:
+    """How much earlier than speeds that are this late the reading is that their thrusts are compared with (s).
+
+    A thrust holds, but for its lag, from one command to the next, and a reading is of the period that it ends.
+    """
+    return math.floor(late / period + DECISION.next_period) * period
+
+
 def mpc_form(
     acts: Decision, period: float, spacing: float, sent: int, parts: int, sizes: tuple[tuple[str, int], ...]
 ) -> tuple[Any, ...]:
     """See plan_function: the dead time in samples of the reference, `spacing` apart (s); what is left of it counts as
-    lag, which is inverted, up to the gain 1 / (1 - exp(-T / lag)) = largest_lead on a change of thrust. More would
-    amplify noise. table: of each grid the numbers of these sizes. sent, parts: of what predicts over the wait."""
-    s, invertible = DECISION, -period / math.log(1 - 1 / DECISION.largest_lead)
+    lag, which is inverted, up to the gain 1 / (1 - exp(-T / lag)) = largest_lead on a change of thrust, since more would
+    amplify noise, and up to most_inverted, since a lag that is off by more than a fast loop bears undoes it. table: of each grid the numbers of these sizes. sent, parts: of what predicts over the wait."""
+    s = DECISION
+    invertible = min(-period / math.log(1 - 1 / s.largest_lead), s.most_inverted)
     waits = acts.dead_time + ca.fmax(acts.lag - invertible, 0)
     waits = spacing * ca.floor(ca.fmin(waits, s.largest_wait) / spacing + 0.5)
     lag = acts.total - waits

@@ -96,9 +96,9 @@ class Auto(WrappedController):
         self._memory = Memory("Auto", KEPT)
         now, flags = self._memory.of_now, ("searches", "rounds")
         told = {name: self._bank.part(name) for name in ("lateral", "noise")}
-        told |= {"timing": now["decision"][-1:], "apart": now["apart"]}
+        told |= {"timing": now["decision"][-1:], "apart": now["apart"], "late": now["late"], "delays": now["decision"][:3]}
         self._filter = DisturbanceFilter(vehicle, air, theta, period, backend, of, told)
-        self._search = Search(self._bank, backend, {name: now[name] for name in flags}, now["against"])
+        self._search = Search(self._bank, backend, {name: now[name] for name in flags})
         # By which age and delays cannot be distinguished: by readings that are old, or as old as nobody says, as far as
         # a data sheet may be wrong; and within a period of the bank a faster law answers to noise.
         apart = BANK.sheet_factor / INTERVAL.band * max(force.delay or 0.0, turn.delay or 0.0)

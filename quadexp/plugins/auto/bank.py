@@ -32,7 +32,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, InputArrays, call, copy
 from quadexp.models.residual import Residual
-from quadexp.physics.expression import Expression, named_function, named_symbols
+from quadexp.physics.expression import Expression, limited, named_function, named_symbols
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -40,7 +40,8 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.auto.settings import BANK
 from quadexp.plugins.remedies.sent_commands import SETTLED
 
-GYROS, AXES = len(BANK.gyro_models), 3
+GYROS, VELOCITIES, AXES = len(BANK.gyro_models), len(BANK.velocity_models), 3
+CHANNELS = 2 * GYROS + 1  # filters that commands drive: two axes of each noise model, and the thrust
 
 
 class Sums(Memory):
@@ -54,14 +55,15 @@ class Sums(Memory):
 
 class Layout:
     """What a bank remembers. period: s. commands, readings: how many count. columns: of a reading's filter, y, phi of
-    each reading and of each axis of its bias. sizes: of its memory, by name."""
+    each reading and of each axis of its bias. sizes: of its memory, by name. moments: of each filter, by name: noise
+    models, and rows of a matrix."""
 
     def __init__(self, period: float) -> None:
         reach = BANK.largest_age + BANK.largest_dead_time + SETTLED * BANK.largest_lag + period
         self.commands = math.ceil(reach / period - 1e-9) + 1
         self.readings = int(BANK.largest_age / period + 1e-9) + 3
-        self.columns, channels = 1 + self.readings + AXES, 2 * GYROS + 1
-        velocity = len(BANK.velocity_models) * self.columns
+        self.columns = 1 + self.readings + AXES
+        velocity = VELOCITIES * self.columns
         self.sizes = {
             "count": 1,
             "weights": 3,
@@ -69,8 +71,8 @@ class Layout:
             "missed": 1,
             "forces": AXES * self.readings,
             "rates": AXES * self.readings,
-            "filters": 4 * channels,
-            "regressors": channels * (self.commands + 3),
+            "filters": 4 * CHANNELS,
+            "regressors": CHANNELS * (self.commands + 3),
             "velocity": AXES * velocity,
             "velocity_before": 2 * velocity,
             "attitude_before": AXES * self.columns,
@@ -79,6 +81,12 @@ class Layout:
             "change": 2,
             "drift": 6,
             "noise": 3,
+        }
+        self.moments = {
+            "gyro": (GYROS, self.commands + 3),
+            "thrust": (1, self.commands + 3),
+            "velocity": (VELOCITIES, 2 * self.columns),
+            "attitude": (1, 2 * self.columns),
         }
 
 
@@ -101,22 +109,19 @@ class Bank:
         noise: tuple[float, float, float] = (0.0, 0.0, 0.0),
         spans: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        self.vehicle, self.spans, self.every = vehicle, spans, max(1, round(BANK.period / control_period))
+        self.vehicle, self.spans = vehicle, spans
+        self.every = max(1, round(BANK.period / control_period))
         self.period = self.every * control_period
-        self.layout = layout = Layout(self.period)
-        function = cached_function(backend, bank_function, vehicle, residual, self.period, self.every)
-        self.memory = Memory("Bank", sizes_of([function]) | {"sent": vehicle.n_rotors})
-        self._update = connected(function, {"theta": theta}, {}, self.memory)
-        given = self._update.arguments
+        self.layout = Layout(self.period)
         self.stated = max(noise[0], BANK.least_reading)
         self.turn_noise = (BANK.least_turn + noise[1]) * self.period, BANK.least_attitude + noise[2]
-        given["stated"][...] = self.stated
-        given["attitude_gain"][...] = first_order_gain(self.turn_noise[0] / self.turn_noise[1])
-        commands, both = layout.commands + 3, 2 * layout.columns
-        shapes = {"gyro": (GYROS, commands), "thrust": (1, commands)}
-        shapes |= {"velocity": (len(BANK.velocity_models), both), "attitude": (1, both)}
-        self.sums = Sums("BankSums", {name: models * size**2 for name, (models, size) in shapes.items()})
-        self.moments = {name: self.sums.of_now[name].reshape(-1, size, size) for name, (_, size) in shapes.items()}
+        attitude_gain = first_order_gain(self.turn_noise[0] / self.turn_noise[1])
+        self._places = {"theta": theta, "stated": np.full(1, self.stated), "attitude_gain": np.full(1, attitude_gain)}
+        self._function = cached_function(backend, bank_function, vehicle, residual, self.period, self.every)
+        self.memory = Memory("Bank", sizes_of([self._function]) | {"sent": vehicle.n_rotors})
+        shapes = {name: (models, size, size) for name, (models, size) in self.layout.moments.items()}
+        self.sums = Sums("BankSums", {name: math.prod(shape) for name, shape in shapes.items()})
+        self.moments = {name: self.sums.of_now[name].reshape(shape) for name, shape in shapes.items()}
 
     def part(self, name: str) -> np.ndarray:
         """What the memory has under a name."""
@@ -124,28 +129,30 @@ class Bank:
 
     def start(self, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
         """What is remembered in the state x, (13,), where this command, (n,) (N), has been sent for a long time."""
-        specific, layout, kind = thrust.sum() / self.vehicle.mass, self.layout, x.dtype
-        filters = np.zeros((4, 2 * GYROS + 1), kind)
+        specific, readings = thrust.sum() / self.vehicle.mass, self.layout.readings
+        filters = np.zeros((4, CHANNELS), x.dtype)
         filters[0] = [*np.tile(x[RATE][:2], GYROS), specific]
-        filters[2, -1] = specific
-        velocity = np.zeros((len(BANK.velocity_models) * AXES, layout.columns), kind)
-        velocity[:, 0] = np.tile(x[VELOCITY], len(BANK.velocity_models))
-        start = {"x": x, "lateral": np.full(1, self.stated**2), "filters": filters, "velocity": velocity}
-        start |= {"forces": np.tile([0.0, 0.0, specific], layout.readings), "rates": np.tile(x[RATE], layout.readings)}
-        return start | {"sent": self.every * thrust}
+        filters[1, -1] = specific
+        velocity = np.zeros((VELOCITIES * AXES, self.layout.columns), x.dtype)
+        velocity[:, 0] = np.tile(x[VELOCITY], VELOCITIES)
+        return {
+            "x": x,
+            "lateral": np.full(1, self.stated**2),
+            "filters": filters,
+            "velocity": velocity,
+            "forces": np.tile([0.0, 0.0, specific], readings),
+            "rates": np.tile(x[RATE], readings),
+            "sent": self.every * thrust,
+        }
 
     def after(self, inputs: InputArrays, state: np.ndarray, command: np.ndarray) -> list[Call]:
         """Takes in what is given, the state that is found there, (13,), and then the command, (n,) (N)."""
-        given, left = self._update.arguments, self._update.results
-        due = [
-            copy(given["x"], state),
-            copy(given["f"], inputs.specific_force),
-            copy(given["read"], inputs.accelerometer_valid),
-        ]
-        due.append(call(self._update))
+        given = {"x": state, "f": inputs.specific_force, "read": inputs.accelerometer_valid}
+        update = connected(self._function, self._places | given, {}, self.memory)
+        due = [call(update)]
         fading = math.exp(-self.period / BANK.forgetting)
         for name, moments in self.moments.items():
-            rows = left[f"{name}_z"].reshape(len(moments), -1, moments.shape[-1])
+            rows = update.results[f"{name}_z"].reshape(len(moments), -1, moments.shape[-1])
             due.append(Call("gather", moments, rows, factor=fading))
         sent = self.memory.of_next["sent"]
         due.append(copy(sent, np.zeros(self.vehicle.n_rotors)))
@@ -177,7 +184,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     reading, and whether it was `read`; stated noise (m/s^2); attitude_gain, of its filter; theta.
     """
     layout, n = Layout(period), vehicle.n_rotors
-    m, readings, columns = layout.commands, layout.readings, layout.columns
+    readings, columns = layout.readings, layout.columns
     shapes = {NOW + name: size for name, size in layout.sizes.items()} | {f"{NOW}sent": n}
     shapes |= {"x": N_STATE, "f": 3, "read": 1, "stated": 1, "attitude_gain": 1, "theta": residual.function.size1_in(1)}
     a = named_symbols(ca.MX, shapes)
@@ -188,29 +195,28 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     air = ca.densify(residual.function(body_features(x, sent), a["theta"])[0])
     counts, time = count > BANK.settling / period, count * period
 
-    # gyroscope and thrust: y by the readings, phi by the newest command
+    # gyroscope and thrust, a filter a row: y by the readings, phi by the newest command
     inertia, middle = ca.DM(vehicle.inertia_matrix), (w + last[RATE]) / 2
     inverse = ca.inv(inertia)
     turning = -ca.mtimes(inverse, ca.cross(middle, ca.mtimes(inertia, middle)))[:2]
     spin = ca.mtimes(ca.mtimes(inverse, ca.DM(vehicle.allocation[1:])), sent)[:2]
     thrust_gain = first_order_gain(BANK.thrust_walk * math.sqrt(period) / BANK.thrust_noise)
     gains = [stationary_gain(*model, period) for model in BANK.gyro_models for _ in range(2)]
-    gain, torque_gain = (ca.DM(one) for one in zip(*gains, (thrust_gain, 0.0), strict=True))
+    gain = ca.DM([*gains, (thrust_gain, 0.0)])
+    of_rates = ca.horzcat(w[:2], ca.DM.zeros(2))
+    of_thrust = ca.horzcat(f[2] - air[2], ca.sum1(sent) / vehicle.mass)
+    reading = ca.vertcat(ca.repmat(of_rates, GYROS, 1), of_thrust)
+    drive = ca.vertcat(ca.repmat(ca.horzcat(turning, -spin), GYROS, 1), ca.DM.zeros(1, 2))
+    value, bias = ca.horzsplit(ca.reshape(kept["filters"], CHANNELS, 4), 2)
+    predicted = value + period * (bias + drive)
     updates = ca.vertcat(ca.DM.ones(2 * GYROS), read)
-    driven = (
-        (ca.vertcat(*[w[:2]] * GYROS, f[2] - air[2]), ca.vertcat(*[turning] * GYROS, 0)),
-        (ca.vertcat(ca.DM.zeros(2 * GYROS), ca.sum1(sent) / vehicle.mass), ca.vertcat(*[-spin] * GYROS, 0)),
-    )
-    filters = ca.vertsplit(kept["filters"], 2 * GYROS + 1)
-    innovations, filters_next = [], []
-    for (reading, drive), value, bias in zip(driven, filters[::2], filters[1::2], strict=True):
-        predicted = value + period * (bias + drive)
-        innovations.append(updates * (reading - predicted))
-        filters_next += [predicted + gain * innovations[-1], bias + torque_gain * innovations[-1]]
-    z = ca.reshape(kept["regressors"], m + 3, -1)
-    z = ca.vertcat(innovations[0].T, z[0, :], innovations[1].T, z[2:-1, :])
+    innovation = ca.repmat(updates, 1, 2) * (reading - predicted)
+    value = predicted + ca.repmat(gain[:, 0], 1, 2) * innovation
+    bias = bias + ca.repmat(gain[:, 1], 1, 2) * innovation
+    z = ca.reshape(kept["regressors"], layout.commands + 3, CHANNELS)
+    z = ca.vertcat(innovation[:, 0].T, z[0, :], innovation[:, 1].T, z[2:-1, :])
 
-    # velocity: an axis a column
+    # velocity: an axis of a noise model a column
     held, back = ca.reshape(kept["forces"], 3, readings), ca.DM(range(1, readings)).T
     share = back / (kept["missed"] + 1)  # what was missing lies on the line between its neighbours
     between = ca.mtimes(f, 1 - share) + ca.mtimes(held[:, 0], share)
@@ -218,19 +224,16 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     q = x[ATTITUDE] + last[ATTITUDE] * ca.sign(ca.dot(x[ATTITUDE], last[ATTITUDE]))
     turned = period * rotation_matrix(q / ca.norm_2(q))
     gravity = period * vehicle.gravity * ca.DM([[0.0, 0.0, 1.0]])
-    drive = -ca.vertcat(gravity, ca.mtimes(turned, forces).T, turned.T)
+    drive = ca.vertcat(gravity, ca.mtimes(turned, forces).T, turned.T)
     reading = ca.vertcat(x[VELOCITY].T, ca.DM.zeros(columns - 1, 3))
-    velocities = ca.horzsplit(ca.reshape(kept["velocity"], columns, -1), 3)
-    befores = ca.horzsplit(ca.reshape(kept["velocity_before"], columns, -1), 2)
-    velocity_next, across, velocity_z = [], [], []
-    for velocity, before, noise in zip(velocities, befores, BANK.velocity_models, strict=True):
-        ratio = kept["lateral"] * (period / noise) ** 2
-        P = ratio / 2 + ca.sqrt(ratio**2 / 4 + ratio)
-        predicted = velocity + drive
-        velocity_next.append(predicted + P / (P + 1) * (reading - predicted))
-        # across the thrust: along it a force jumps with each command, between two readings
-        across.append(ca.mtimes(reading - predicted, R[:, :2]))
-        velocity_z.append(ca.vec(ca.vertcat(across[-1], before)))
+    predicted = ca.reshape(kept["velocity"], columns, -1) - ca.repmat(drive, 1, VELOCITIES)
+    innovation = ca.repmat(reading, 1, VELOCITIES) - predicted
+    ratio = kept["lateral"] * ca.DM([(period / noise) ** 2 for noise in BANK.velocity_models for _ in range(AXES)]).T
+    P = ratio / 2 + ca.sqrt(ratio**2 / 4 + ratio)
+    velocity = predicted + ca.repmat(P / (P + 1), columns, 1) * innovation
+    # across the thrust: along it a force jumps with each command, between two readings
+    across = ca.mtimes(innovation, ca.diagcat(*[R[:, :2]] * VELOCITIES))
+    velocity_z = ca.vertcat(across, ca.reshape(kept["velocity_before"], columns, -1))
 
     # attitude: the same in body axes, of the rotation in a period
     rates = ca.horzcat(w, ca.reshape(kept["rates"], 3, readings)[:, :-1])
@@ -250,8 +253,8 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     measured = (-ca.dot(change, kept["change"]) / 2, ca.sum1(products[:3]) / 3, ca.sum1(products[3:]) / 3)
     share = ca.fmax(1 / (count + 5), period / BANK.noise_memory) * (count > 2) * ca.vertcat(read, 1, 1)
     noise = kept["noise"] + share * (ca.vertcat(*measured) - kept["noise"])
-    within = [(a["stated"] * BANK.sheet_factor**sign) ** 2 for sign in (-1, 1)]
-    lateral = ca.fmin(ca.fmax(noise[0], within[0]), within[1])
+    least, most = ((a["stated"] * BANK.sheet_factor**sign) ** 2 for sign in (-1, 1))
+    lateral = limited(noise[0], least, most)
 
     now = {
         "count": count,
@@ -260,10 +263,10 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
         "forces": ca.vec(forces),
         "rates": ca.vec(rates),
         "weights": math.exp(-period / BANK.forgetting) * kept["weights"] + ca.vertcat(counts, counts * read, flown),
-        "filters": ca.vertcat(*filters_next),
+        "filters": ca.vec(ca.horzcat(value, bias)),
         "regressors": ca.vec(z),
-        "velocity": ca.vec(ca.horzcat(*velocity_next)),
-        "velocity_before": ca.vec(ca.horzcat(*across)),
+        "velocity": ca.vec(velocity),
+        "velocity_before": ca.vec(across),
         "attitude_before": ca.vec(attitude),
         "lateral": ca.if_else(time > BANK.measured_after, lateral, a["stated"] ** 2),
         "reading": kept["reading"] + read * change,
@@ -274,7 +277,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     results = {
         "gyro_z": counts * ca.vec(z[:, :-1]),
         "thrust_z": counts * z[:, -1],
-        "velocity_z": counts * read * ca.vertcat(*velocity_z),
+        "velocity_z": counts * read * ca.vec(velocity_z),
         "attitude_z": flown * ca.vec(ca.vertcat(attitude, before)),
     } | {NEXT + name: value for name, value in now.items()}
     return named_function("bank", a, {name: ca.densify(value) for name, value in results.items()})

@@ -15,24 +15,25 @@ from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight
 from quadexp.physics.state import ATTITUDE, VELOCITY
+from quadexp.plugins.auto.responses import command_weights
 from quadexp.plugins.auto.settings import INTERVAL, LIMITS, REPORT
 from quadexp.plugins.drawing.style import HUES, Figure, styled
 from quadexp.report.table import Table
 
 MS = 1e3  # of a second
-QUANTITIES = {  # column: name, unit, factor, column of the deviation; "": there are those of both ends of an interval
-    "auto_age": ("age of the state", "ms", MS, ""),
-    "auto_delay": ("dead time and lag of commands", "ms", MS, ""),
-    "observer_thrust_scale": ("scale of the thrust", "1", 1.0, "auto_thrust_scale_sd"),
-    **{f"observer_wind_{a}": (f"wind, {a}", "m/s", 1.0, f"auto_wind_{a}_sd") for a in "xyz"},
-    **{f"observer_force_{a}": (f"force, {a}", "N", 1.0, f"auto_force_{a}_sd") for a in "xyz"},
+QUANTITIES = {  # column: name, unit, column of the deviation; "": there are those of both ends of an interval
+    "auto_age": ("age of the state", "ms", ""),
+    "auto_delay": ("dead time and lag of commands", "ms", ""),
+    "observer_thrust_scale": ("scale of the thrust", "1", "auto_thrust_scale_sd"),
+    **{f"observer_wind_{a}": (f"wind, {a}", "m/s", f"auto_wind_{a}_sd") for a in "xyz"},
+    **{f"observer_force_{a}": (f"force, {a}", "N", f"auto_force_{a}_sd") for a in "xyz"},
 }
 
 
 class Belief(NamedTuple):
     """One quantity over a flight, with its 95 % interval. value, low, high: (k,), NaN as long as nothing is assumed;
-    high is infinite where the value is one "at least". true: (k,), or NaN where the world does not say. scale: of
-    LIMITS."""
+    high is infinite where the value is one "at least". true: (k,), or NaN where the world does not say. limit: half of
+    an interval that tells nothing."""
 
     name: str
     unit: str
@@ -40,12 +41,12 @@ class Belief(NamedTuple):
     low: np.ndarray
     high: np.ndarray
     true: np.ndarray
-    scale: float = 1.0
+    limit: float
 
     @property
     def identifiable(self) -> bool:
         """Whether it is known at the end."""
-        return bool(self.high[-1] - self.low[-1] < 2 * LIMITS[self.unit] * self.scale)
+        return bool(self.high[-1] - self.low[-1] < 2 * self.limit)
 
     @property
     def covers(self) -> np.ndarray:
@@ -62,25 +63,24 @@ def beliefs(flight: Flight) -> list[Belief]:
     if len(flight) < 2:
         return []
     true, unknown, quantities = truths(flight), np.full(len(flight), np.nan), []
-    for column, (name, unit, factor, deviation) in QUANTITIES.items():
-        if column not in columns:
+    for column, (name, unit, deviation) in QUANTITIES.items():
+        of_force = unit == "N"
+        if of_force and "thinned" in flight.metadata:  # what moves between samples is not known
             continue
-        value = columns[column]
+        value, limit, factor = columns[column], LIMITS[unit], MS if unit == "ms" else 1.0
         if deviation:
-            spread = columns.get(deviation, unknown)
-            if deviation.startswith("auto_force"):
-                if "thinned" in flight.metadata:  # what moves between samples is not known
-                    continue
-                spread = np.sqrt(spread**2 + force_variance(flight, column))
-            low, high = value - INTERVAL.band * spread, value + INTERVAL.band * spread
+            moves = force_variance(flight, column) if of_force else 0.0
+            half = INTERVAL.band * np.sqrt(columns[deviation] ** 2 + moves)
+            low, high = value - half, value + half
         else:
             low, high = columns[f"{column}_low"], columns[f"{column}_high"]
+        if of_force:
+            limit *= vehicle["mass"] * vehicle["gravity"]
         known = np.isfinite(low)
         if known.any():
-            value = np.where(known, value, np.nan)
-            value, low, high, truth = (factor * one for one in (value, low, high, true.get(column, unknown)))
-            scale = vehicle["mass"] * vehicle["gravity"] if unit == "N" else 1.0
-            quantities.append(Belief(name, unit, value, low, high, truth, scale))
+            assumed = np.where(known, value, np.nan)
+            arrays = (factor * array for array in (assumed, low, high, true.get(column, unknown)))
+            quantities.append(Belief(name, unit, *arrays, limit))
     return quantities
 
 
@@ -137,7 +137,7 @@ def _thrust_scale(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
     changes = "payload" in config or "health" in config or config["plant"].get("schedule")
     if drawn or changes or len(flight) < 2 or "thinned" in flight.metadata:
         return np.full(len(flight), np.nan)
-    given = commanded = commanded_thrust(flight, dead_time, lag)[:, -1]
+    given = commanded = commanded_thrust(flight, dead_time, lag, 0.0)
     if speeds:
         given = config["vehicle"]["thrust_coefficient"] * sum(columns[f"rotor_speed_{i}"] ** 2 for i in range(n))
     elif "delivered_0" in columns:
@@ -171,27 +171,24 @@ def true_force(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
     world (N), (k, 3); m: the mass that is assumed, a: of the true velocity over the last period. T: of the commands
     after dead time and lag, or at the instants that of the rotors' speeds, times the scale that is assumed."""
     vehicle, up, period = flight.metadata["config"]["vehicle"], _up(flight), float(flight.t[1] - flight.t[0])
-    followed = commanded_thrust(flight, dead_time, lag)
-    thrust, scale = followed.mean(axis=1), flight.columns.get("observer_thrust_scale", 1.0)
+    thrust, scale = commanded_thrust(flight, dead_time, lag, period), flight.columns.get("observer_thrust_scale", 1.0)
     if by_rotor_speeds(flight):
         squares = sum(flight.columns[f"rotor_speed_{i}"] ** 2 for i in range(flight.input.shape[1]))
-        off = vehicle["thrust_coefficient"] * squares - followed[:, -1]
+        off = vehicle["thrust_coefficient"] * squares - commanded_thrust(flight, dead_time, lag, 0.0)
         thrust = thrust + (off + np.roll(off, 1)) / 2
     acceleration = np.diff(flight.state[:, VELOCITY], axis=0, prepend=np.nan) / period
     middle = (up + np.roll(up, 1, axis=0)) / 2
     return vehicle["mass"] * (acceleration + [0, 0, vehicle["gravity"]]) - (scale * thrust)[:, None] * middle
 
 
-def commanded_thrust(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
-    """Thrust of all rotors by the commands after dead time and lag (s), in fine steps of the period that ends at each
-    sample, (k, fine) (N)."""
-    from scipy.signal import lfilter
-
-    t, period, sent = flight.t, float(flight.t[1] - flight.t[0]), flight.input.sum(axis=1)
-    ages = (np.arange(REPORT.fine) + 0.5) / REPORT.fine * period  # within the period, from its end back
-    late = np.clip(np.floor((t[:, None] - t[0] - ages - dead_time) / period + 1e-9).astype(int), 0, None)
-    thrust, share = sent[late][:, ::-1].ravel(), -math.expm1(-period / REPORT.fine / lag) if lag else 1.0
-    return lfilter([share], [1, share - 1], thrust, zi=[(1 - share) * thrust[0]])[0].reshape(-1, REPORT.fine)
+def commanded_thrust(flight: Flight, dead_time: float, lag: float, span: float) -> np.ndarray:
+    """Thrust of all rotors by the commands after dead time and lag (s), at each sample or its mean over `span` (s)
+    before, (k,) (N)."""
+    period, sent = float(flight.t[1] - flight.t[0]), flight.input.sum(axis=1)
+    count = 2 + math.ceil((dead_time + REPORT.settled * lag) / period)
+    weights = command_weights(period, count, np.array([dead_time + lag]), np.array([lag]), span)[0]
+    before = np.full(count, sent[0])
+    return np.convolve(np.concatenate([before, sent]), weights)[count - 1 :][: len(sent)]
 
 
 def _up(flight: Flight) -> np.ndarray:

@@ -2,15 +2,13 @@
 
 age               posterior mean, where the Bayes factor against none is very strong
 dead time, lag    posterior mean, where it is positive
-stiffness         by the timing uncertainty  sigma = sd(D) + |D - what is acted on| + sd(a) / 2, the noise of the
+stiffness         by the timing uncertainty  sigma = sd(D) + |D - acted| + max(sd(a), |a - acted|) / 2, the noise of the
                   estimated position, how commands alternate, and whether rotors saturate; one grid at a time towards
                   the stiffer. Where age or total may be any larger one than those of the grid it is the softest.
 
 A look at the evidence begins a search for the posterior where one is due: the coarse grid in the next instant, finer
 ones in those after it, each where the last one ended, until one's mode is not on its edge. As a flight begins, all are
-in one instant: each further one that passes until an age of 50 ms acts costs 10 to 30 mm at 10 m/s. Where rates turn
-out to lie between the pose and now, one more number fits what lies between the points of a coarse grid: there is a
-second search without them, and the likelier of both counts.
+in one instant: each further one that passes until an age of 50 ms acts costs 10 to 30 mm at 10 m/s.
 """
 
 from __future__ import annotations
@@ -27,15 +25,14 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.physics.expression import Expression, dense_function, limited, named_symbols, split
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.auto.posterior import BETWEEN, FOUND
-from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL, NEVER
+from quadexp.plugins.auto.posterior import FOUND
+from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL
 
 UNKNOWN = -1.0  # of what a decision has crossed: neither
-IDLE, FIRST, SECOND = range(3)  # searches for a posterior, the second without rates between pose and now
 BELIEFS = 10  # age, delay, lag, their lower and their upper ends; by how much rates are newer; behind them what acts
 OF_SEARCH = sum(FOUND.values())
 KEPT = {
-    "phase": 1,
+    "searching": 1,
     "passes": 1,
     "wait": 1,
     "saturates": 1,
@@ -44,13 +41,12 @@ KEPT = {
     "known": 1,
     "searches": 1,
     "rounds": 1,
-    "against": 3,
-    "candidate": OF_SEARCH,
     "found": OF_SEARCH,
     "odds": 2,
     "at_end": 3,
     "decision": 6,
     "unsure": 1,
+    "late": 1,
     "apart": 1,
     "beliefs": BELIEFS + 4,
 }
@@ -78,18 +74,20 @@ NOTHING = Decision(0.0, 0.0, 0.0, 0.0, 0.0, DISTURBANCE.unknown_timing)  # befor
 
 class Statistics(NamedTuple):
     """What is measured beside the delays. position: noise of the estimated one (m). saturated, saturates: shares of
-    commands at a limit, lately and over longer. acts: whether a disturbance is assumed."""
+    commands at a limit, lately and over longer. acts: whether a disturbance is assumed. stiffest: of the grids that
+    what has been seen so far is enough for."""
 
     position: Expression = 0.0
     saturated: Expression = 0.0
     saturates: Expression = 0.0
     acts: Expression = 0.0
+    stiffest: Expression = len(DECISION.grids)
 
 
 def decided(known: Expression, found: Mapping[str, Expression], last: Decision, statistics: Statistics) -> Decision:
     """What to act on from now on. found: mean and deviation, (3,), newer, odds, (2,), at_end, (3,), of a posterior;
     known: whether there is one."""
-    s, stiffest = DECISION, len(DECISION.grids)
+    s = DECISION
     age, total, lag = ca.vertsplit(found["mean"])
     of_age, of_total = ca.vertsplit(found["odds"])
     needed = s.age_odds * (1 + s.between / ca.fmax(age, s.least_age))
@@ -100,16 +98,19 @@ def decided(known: Expression, found: Mapping[str, Expression], last: Decision, 
     before = ca.vertcat(last.age, last.total, last.lag, last.newer)
     small = ca.mmax(ca.fabs(wanted - before)[:2]) < s.least_change
     age, acted, lag, newer = ca.vertsplit(ca.if_else(small, before, wanted))
-    timing = found["deviation"][1] + ca.fabs(total - acted) + found["deviation"][0] / 2
+    late = ca.fmax(found["deviation"][0], ca.fabs(found["mean"][0] - age))  # also an age that does not act yet
+    timing = found["deviation"][1] + ca.fabs(total - acted) + late / 2
     grid = sum(timing + s.inexact * (age + acted) < one.timing for one in s.grids)
     noisy = ca.logic_or(statistics.position > s.large_noise, statistics.saturates > s.saturates)
-    grid = ca.fmin(grid, stiffest - ca.logic_or(acted >= s.stiff_total, noisy))
+    grid = ca.fmin(grid, len(s.grids) - ca.logic_or(acted >= s.stiff_total, noisy))
     grid = ca.fmin(grid, last.grid + 1)
     grid = ca.if_else(statistics.saturated > s.saturated, ca.fmin(grid, s.middle), grid)
     grid = ca.if_else(ca.mmax(found["at_end"][:2]) > 0, 0, grid)
     # without evidence the softest grid would let the error stand for a second
-    unknown = ca.vertcat(*last[:4], ca.fmax(last.grid, statistics.acts), last.timing)
-    return Decision(*ca.vertsplit(ca.if_else(known, ca.vertcat(age, acted - lag, lag, newer, grid, timing), unknown)))
+    grid = ca.if_else(known, grid, ca.fmax(last.grid, statistics.acts))
+    grid = ca.fmin(grid, statistics.stiffest)
+    found_now = ca.vertcat(age, acted - lag, lag, newer, grid, timing)
+    return Decision(*ca.vertsplit(ca.if_else(known, found_now, ca.vertcat(*last[:4], grid, last.timing))))
 
 
 def known(age: float, dead_time: float, lag: float) -> Decision:
@@ -125,7 +126,8 @@ def known(age: float, dead_time: float, lag: float) -> Decision:
 def start_of(begin: Decision) -> dict[str, Any]:
     """What is remembered of decisions as a flight begins, but for zeros."""
     beliefs = [*[0.0] * 3, *[np.nan] * 6, *[0.0] * 5]
-    return {"next": DECISION.begins, "crossed": np.full(4, UNKNOWN), "decision": np.array(begin), "beliefs": beliefs}
+    start = {"next": DECISION.begins, "crossed": np.full(4, UNKNOWN), "decision": np.array(begin), "beliefs": beliefs}
+    return start | {"late": DISTURBANCE.unknown_timing}
 
 
 def decision_function(
@@ -133,15 +135,15 @@ def decision_function(
 ) -> ca.Function:
     """Memory after an instant, see KEPT, and whether a decision is another one than the last, or its grid is.
 
-    count, weights, noise: of the bank. commands: the last ones (N). acts: of the disturbance. rates, odds, at_end: of
+    count, weights, noise: of the bank. commands: the last ones (N). acts: of the disturbance. odds, at_end: of
     the coarse grid; moved and FOUND of the finer one. apart: by which age and delays cannot be distinguished
     (s). unsaid: whether nobody says how old rates are beside the pose.
     """
-    s, searched = DECISION, {"rates": 1, "odds": 2, "at_end": 3, "moved": 1} | FOUND
+    s, searched = DECISION, {"odds": 2, "at_end": 3, "moved": 1} | FOUND
     shapes = {"count": 1, "weights": 3, "noise": 3, "commands": commands, "acts": 3, **searched}
     a = named_symbols(ca.SX, shapes | {NOW + name: size for name, size in KEPT.items()})
     kept = {name: a[NOW + name] for name in KEPT}
-    phase, last = kept["phase"], Decision(*ca.vertsplit(kept["decision"]))
+    searching, last = kept["searching"], Decision(*ca.vertsplit(kept["decision"]))
 
     # a look at what is measured
     elapsed, rounding = ca.fmax(a["count"] * bank_period - BANK.settling, 0), s.rounding * period
@@ -152,30 +154,25 @@ def decision_function(
     share = looks * ca.if_else(soon, s.soonest, s.checks) / s.corners_memory
     saturates = kept["saturates"] + share * (saturated - kept["saturates"])
     position = ca.sqrt(ca.fmax(a["noise"][1], 0)) * (elapsed > BANK.measured_after + rounding)
-    statistics = Statistics(position, saturated, saturates, ca.mmax(a["acts"]) > 0)
+    enough = a["count"] >= s.few_readings
+    statistics = Statistics(position, saturated, saturates, ca.mmax(a["acts"]) > 0, len(s.grids) * enough)
     crossed = ca.vertcat(position > s.large_noise, saturated > s.saturated, saturates > s.saturates, statistics.acts)
     often, seldom = (max(1, round(each / period)) for each in (s.soonest, s.checks))
 
     # the search goes on, or ends
     refined, passes = kept["rounds"] > 0, kept["passes"] + kept["rounds"]
-    settled = refined * ca.logic_or(ca.logic_not(a["moved"]), passes >= BANK.passes)
-    again = settled * (phase == FIRST) * (a["rates"] == BETWEEN)
-    done = settled * ca.logic_not(again)
+    done = refined * ca.logic_or(ca.logic_not(a["moved"]), passes >= BANK.passes)
     due = elapsed + period - rounding >= kept["next"]  # the search is in the next instant
     due = ca.logic_and(due, a["weights"][1] > 0)
-    due = looks * due * ca.logic_or(phase == IDLE, done)
-    here = ca.vertcat(*(a[name] for name in FOUND))
-    other = ca.logic_and(phase == SECOND, kept["candidate"][-1] > here[-1])
-    found = ca.if_else(done, ca.if_else(other, kept["candidate"], here), kept["found"])
-    first = refined * (phase == FIRST)
-    odds, at_end = (ca.if_else(first, a[name], kept[name]) for name in ("odds", "at_end"))
+    due = looks * due * ca.logic_or(ca.logic_not(searching), done)
+    found = ca.if_else(done, ca.vertcat(*(a[name] for name in FOUND)), kept["found"])
+    odds, at_end = (ca.if_else(refined, a[name], kept[name]) for name in ("odds", "at_end"))
     of = dict(zip(FOUND, split(found, FOUND.values()), strict=True)) | {"odds": odds, "at_end": at_end}
-    searches = ca.logic_or(due, again)
-    now = ca.if_else(due, FIRST, ca.if_else(again, SECOND, ca.if_else(done, IDLE, phase)))
+    now = ca.logic_or(due, searching * ca.logic_not(done))
 
     # the decision
     is_known = ca.fmax(kept["known"], done)
-    decides = ca.logic_or(done, looks * (phase == IDLE) * (ca.mmax(ca.fabs(crossed - kept["crossed"])) > 0))
+    decides = ca.logic_or(done, looks * ca.logic_not(searching) * (ca.mmax(ca.fabs(crossed - kept["crossed"])) > 0))
     decision = ca.vertcat(*decided(is_known, of, last, statistics))
     decision = ca.if_else(decides, decision, kept["decision"])
     differs = ca.fabs(decision - kept["decision"]) > 0
@@ -186,30 +183,29 @@ def decision_function(
     age, _, lag = ca.vertsplit(of["mean"])
     untold = ca.hypot(apart, ca.hypot(unsaid * age / INTERVAL.band, INTERVAL.unlike * lag))
     unsure = ca.if_else(done, untold, kept["unsure"])
-    late = ca.fabs(age - acts.age) * is_known  # age that does not act
+    late = ca.fabs(age - acts.age)  # age that does not act
     beside = INTERVAL.band * ca.hypot(INTERVAL.inexact * of["mean"], unsure)
     lower = ca.fmax(of["mean"] - ca.hypot(of["mean"] - of["lower"], beside), 0)
     upper = of["mean"] + ca.hypot(of["upper"] - of["mean"], beside)
     beliefs = ca.vertcat(of["mean"], lower, ca.if_else(at_end, math.inf, upper), of["newer"])
     beliefs = ca.if_else(done, beliefs, kept["beliefs"][:BELIEFS])
     left = {
-        "phase": now,
-        "passes": ca.if_else(searches, 0, passes),
+        "searching": now,
+        "passes": ca.if_else(due, 0, passes),
         "wait": ca.if_else(looks, ca.if_else(soon, often, seldom), kept["wait"]) - 1,
         "saturates": saturates,
         "next": ca.if_else(due, elapsed + limited(s.pace * elapsed, s.soonest, s.latest), kept["next"]),
         "crossed": ca.if_else(decides, crossed, kept["crossed"]),
         "known": is_known,
-        "searches": searches,
-        "rounds": (now > IDLE) * ca.if_else(soon, BANK.passes, ca.logic_not(searches)),
-        "against": ca.vertcat(*BANK.rates_odds[:2], ca.if_else(now == SECOND, NEVER, BANK.rates_odds[2])),
-        "candidate": ca.if_else(again, here, kept["candidate"]),
+        "searches": due,
+        "rounds": now * ca.if_else(soon, BANK.passes, ca.logic_not(due)),
         "found": found,
         "odds": odds,
         "at_end": at_end,
         "decision": decision,
         "unsure": unsure,
-        "apart": ca.hypot(unsure, ca.hypot(late, s.inexact * (acts.age + acts.total))),
+        "late": ca.if_else(ca.logic_and(is_known, enough), late, kept["late"]),
+        "apart": ca.hypot(unsure, ca.hypot(late * is_known, s.inexact * (acts.age + acts.total))),
         "beliefs": ca.vertcat(beliefs, decision[:3], acts.grid),
     }
     results = {NEXT + name: left[name] for name in KEPT}

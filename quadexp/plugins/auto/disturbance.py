@@ -34,6 +34,7 @@ from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.auto.settings import DISTURBANCE, INTERVAL, SPEEDS, TINY
 from quadexp.plugins.remedies.observers.filters import STATED, inverse
+from quadexp.plugins.remedies.sent_commands import INSTANT
 
 WIND, SCALE, FORCE, AIR, N_ESTIMATE = slice(0, 3), 3, slice(4, 7), 7, 8
 WALKS, TORQUES = len(DISTURBANCE.walk_factors), 1 + len(DISTURBANCE.torque_bandwidths)  # without a torque first
@@ -51,6 +52,7 @@ SIZES = {
     "thrust": 1,
     "slope": 1,
 }
+OF_ROTORS = "thrusts"  # the last ones by rotor speeds (N), remembered too
 
 
 class Sources(NamedTuple):
@@ -145,11 +147,12 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     """Memory, belief and deviations after an instant; see DisturbanceFilter. noise: of the bank, variances of a reading
     across the thrust, of position and attitude. Memory: SIZES, and whether anything has been read."""
     n, s = vehicle.n_rotors, DISTURBANCE
-    shapes = {NOW + name: size for name, size in SIZES.items()} | {f"{NOW}flown": 1}
+    sizes = SIZES | {OF_ROTORS: n}
+    shapes = {NOW + name: size for name, size in sizes.items()} | {f"{NOW}flown": 1}
     shapes |= {"x": N_STATE, "reading": 3, "read": 1, "thrust": n, "mean": n}
-    shapes |= {"lateral": 1, "noise": 3, "timing": 1, "apart": 1, "theta": air.size1_in(1)}
+    shapes |= {"lateral": 1, "noise": 3, "timing": 1, "apart": 1, "late": 1, "delays": 3, "theta": air.size1_in(1)}
     a = named_symbols(ca.MX, shapes)
-    kept = {name: a[NOW + name] for name in SIZES}
+    kept = {name: a[NOW + name] for name in sizes}
     x, read, thrust = a["x"], a["read"], a["thrust"]
     R, rate, specific = rotation_matrix(x[ATTITUDE]), x[RATE], ca.sum1(thrust) / vehicle.mass
     fading = math.exp(-period / s.noise_memory)
@@ -220,8 +223,11 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     squares = kept["squares"] + read * (fading - 1) * kept["squares"] + read * ca.vertcat(*squares)
     evidence = ca.if_else(read, _summed(kept["evidence"], fading, likelihoods), kept["evidence"])
 
-    inertia = ca.DM(vehicle.inertia_matrix)
-    acting = ca.mtimes(ca.DM(vehicle.allocation[1:]), a["mean"]) + air_torque - ca.cross(rate, ca.mtimes(inertia, rate))
+    inertia, mean = ca.DM(vehicle.inertia_matrix), a["mean"]
+    if known.by_speeds:  # they are of the end of a period, in which rotors that lag were slower to begin with
+        begun = ca.if_else(ca.sum1(kept[OF_ROTORS]) > 0, kept[OF_ROTORS], thrust)
+        mean = mean + mean_share(period, a["delays"][2]) * (begun - thrust)
+    acting = ca.mtimes(ca.DM(vehicle.allocation[1:]), mean) + air_torque - ca.cross(rate, ca.mtimes(inertia, rate))
     acting = ca.mtimes(ca.inv(inertia), acting)
     poles = np.exp(
         -np.array(s.torque_bandwidths) * period
@@ -239,13 +245,19 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     # what is assumed
     found = [ca.vertcat(e, ca.vec(P)) for e, P in zip(estimates, covariances, strict=True)]
     level, lift = _likeliest(-squares[::2], found), _likeliest(evidence[1::2], found)
+    # a compensation that is behind by more than its time constant is no longer below the attitude loop
+    behind = period + ca.sum1(a["delays"])
+    prompt = ca.DM(s.torque_bandwidths) * behind < s.torque_behind
+    torque_evidence = torque_evidence * prompt
     torque = _likeliest(torque_evidence, torques[1:])
     odds = ca.vertcat(*(ca.mmax(one) for one in (evidence[::2], evidence[1::2], torque_evidence)))
     needed = s.evidence_on * (1 - kept["acts"])
     # torques are compared with the state, whose age is distinguished from the delay of readings, and thrusts with
     # readings
     timed = ca.vertcat(1, a["timing"] < s.timed, ca.fmax(a["timing"], a["apart"]) < s.torque_timed)
-    acts = (odds > needed) * (1 if known.by_speeds else timed)
+    if known.by_speeds:  # prompt, also where rates are of a time that is not known yet
+        timed = ca.vertcat(1, 1, a["late"] < s.torque_timed)
+    acts = (odds > needed) * timed
     if known.by_speeds:
         acts = ca.vertcat(1, 1, acts[2])
     if known.has_drag:
@@ -287,12 +299,21 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
         "acts": acts,
         "thrust": specific,
         "slope": slope,
+        OF_ROTORS: thrust,
     }
     flown = ca.fmax(a[f"{NOW}flown"], read)
-    results = {NEXT + name: ca.if_else(flown, now[name], kept[name]) for name in SIZES} | {f"{NEXT}flown": ca.MX(1)}
+    results = {NEXT + name: ca.if_else(flown, now[name], kept[name]) for name in sizes} | {f"{NEXT}flown": ca.MX(1)}
     results["belief"] = ca.if_else(flown, belief, ca.DM(np.hstack([*no_belief()])))
     results["deviations"] = ca.if_else(flown, deviations, math.nan)
     return named_function("disturbance", a, results)
+
+
+def mean_share(period: float, lag: ca.MX) -> ca.MX:
+    """Share w of what a thrust was as a period began, beside 1 - w of what it is as it ends, in the mean thrust over it:
+    of a first-order lag (s) from the one to the other, between 0 (no lag) and 1/2."""
+    slowness = ca.fmax(lag, INSTANT) / period
+    rest = ca.exp(-1 / slowness)
+    return (slowness * (1 - rest) - rest) / (1 - rest)
 
 
 def _summed(evidence: ca.MX, fading: float, likelihoods: list[ca.MX]) -> ca.MX:

@@ -16,8 +16,8 @@ typedef SUM real;
 typedef INTEGER integer;
 
 enum { LATE, PROMPT, BETWEEN };
-enum { GYRO, THRUST, VELOCITY, ATTITUDE, AGAINST, CENTRE, MODELS, WEIGHTS, LATERAL, ROUNDS };
-enum { MODE, RATES, ALLOWED, CHOSEN, ODDS, AT_END, MOVED, MEAN, DEVIATION, LOWER, UPPER, NEWER, BEST };
+enum { GYRO, THRUST, VELOCITY, ATTITUDE, WEIGHTS, LATERAL, CENTRE, MODELS, ROUNDS };
+enum { MODE, CHOSEN, ODDS, AT_END, MOVED, MEAN, DEVIATION, LOWER, UPPER, NEWER };
 enum { A, D, L, R, BIAS = 3, COLUMNS = 1 + READINGS + BIAS, BLOCK = COMMANDS + 3, MEANS = 3 };
 
 typedef struct { /* low, high: between them hypotheses count. times: of a - r + D */
@@ -226,11 +226,10 @@ static void summary(number **res, int of, const real *share, const grid *g, real
     res[LOWER][of] = larger(low - beside / 2, 0), res[UPPER][of] = high + beside / 2;
 }
 
-static const real NOISES[] = VELOCITY_NOISES;
+static const real NOISES[] = VELOCITY_NOISES, AGAINST[] = RATES_ODDS;
 static const real STEPS[] = {AGE_STEP, TOTAL_STEP, LAG_STEP, AGE_STEP}, LARGEST[] = {LARGEST_AGE, (LARGEST_DEAD_TIME + LARGEST_LAG), LARGEST_LAG, LARGEST_AGE};
 
 static void posterior(const number **arg, const number *centre, number **res, int fine) {
-    const number *against = arg[AGAINST];
     const int whole = fine == 1;
     grid g;
     for (int i = 0; i < 4; i++) {
@@ -319,7 +318,7 @@ static void posterior(const number **arg, const number *centre, number **res, in
             counts &= rates != BETWEEN || by > AGE_STEP - INSTANT; /* less is how rates go between readings */
             p[r][a] = -NEVER, old_of[r][a] = old < 0 ? 0 : old < olds ? old : olds - 1;
             if (counts) {
-                const real alone = of_age[a] - age / MEAN_DELAY + of_newer[r] - against[rates];
+                const real alone = of_age[a] - age / MEAN_DELAY + of_newer[r] - AGAINST[rates];
                 p[r][a] = alone + most[old_of[r][a]];
                 prompt = larger(prompt, alone + without[old_of[r][a]]);
                 if (!a) ageless = larger(ageless, p[r][a]);
@@ -329,15 +328,12 @@ static void posterior(const number **arg, const number *centre, number **res, in
     const int at_total = where[old_of[r_best][a_best]], place[] = {a_best, at_total % n_D, at_total / n_D, r_best};
     for (int i = 0; i < 4; i++) res[MODE][i] = at(&g, i, place[i]);
     for (int i = 0; i < 3; i++) res[AT_END][i] = res[MODE][i] > LARGEST[i] - INSTANT;
-    const int rates = rates_of(res[MODE][A], res[MODE][R]);
-    *res[RATES] = (real)rates, res[CHOSEN][0] = (real)models[0], res[CHOSEN][1] = (real)models[1];
-    for (int i = 0; i < 3; i++) res[ALLOWED][i] = i == rates ? against[i] : NEVER;
+    res[CHOSEN][0] = (real)models[0], res[CHOSEN][1] = (real)models[1];
     res[ODDS][0] = best - ageless, res[ODDS][1] = best - prompt;
     *res[MOVED] = 0;
     if (whole) return;
     for (int i = 0; i < 4; i++)
         if (fabs(res[MODE][i] - centre[i]) >= STEPS[i] - INSTANT) *res[MOVED] = 1;
-    *res[BEST] = best;
 
     real of_each[SIDES] = {0}, shares[3][SIDE] = {{0}};
     for (int i = 0; i < olds; i++) all[i] = -1;
@@ -363,7 +359,7 @@ static void posterior(const number **arg, const number *centre, number **res, in
     }
     const real beside[] = {AGE_STEP / (real)fine, LAG_STEP / (real)fine, LAG_STEP / (real)fine};
     for (int i = 0; i < 3; i++) summary(res, i, shares[i], &g, beside[i]);
-    *res[NEWER] = rates == PROMPT ? res[MEAN][A] : res[MODE][R];
+    *res[NEWER] = rates_of(res[MODE][A], res[MODE][R]) == PROMPT ? res[MEAN][A] : res[MODE][R];
 }
 
 int coarse(const number **arg, number **res, integer *iw, number *w, int memory) {

@@ -18,9 +18,8 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -28,8 +27,8 @@ from quadexp.compile.backend import BufferedFunction, CFunction, linked_library
 from quadexp.compile.memory import Memory
 from quadexp.compile.symbolic import ca
 from quadexp.control.control_step import Call, call, copy
-from quadexp.physics.expression import named_function, named_symbols
-from quadexp.plugins.auto.bank import AXES, GYROS, Bank, Layout, first_order_gain
+from quadexp.physics.expression import named_function
+from quadexp.plugins.auto.bank import AXES, GYROS, Bank, first_order_gain
 from quadexp.plugins.auto.responses import command_weights, reading_weights
 from quadexp.plugins.auto.settings import BANK, NEVER, QUANTILES
 from quadexp.plugins.remedies.sent_commands import INSTANT, NO_LAG
@@ -38,41 +37,31 @@ SOURCE = Path(__file__).with_name("posterior.c")
 LATE, PROMPT, BETWEEN = range(3)
 STEPS = np.array([BANK.age_step, BANK.total_step, BANK.lag_step, BANK.age_step])  # of a, D, l, r (s)
 LARGEST = np.array([BANK.largest_age, BANK.largest_dead_time + BANK.largest_lag, BANK.largest_lag, BANK.largest_age])
-# Of age, total and lag (s): mean, deviation, 2.5 and 97.5 % quantiles; by how much rates are newer; log posterior
-FOUND = {"mean": 3, "deviation": 3, "lower": 3, "upper": 3, "newer": 1, "best": 1}
-
-
-# What a grid leaves: the mode (a, D, l, r), its rates, and odds that allow these alone; the likeliest noise models of
-# gyroscope and velocity; log Bayes factors against no age and no total; whether the mode is the last that there is (a,
-# D, l), and whether that of a finer grid is on its edge
-LEFT = {"mode": 4, "rates": 1, "allowed": 3, "chosen": 2, "odds": 2, "at_end": 3, "moved": 1}
-
-
-class BankSettings(NamedTuple):
-    """What a posterior knows beside the bank's moments. period: of the bank (s). spans, turn_noise: see Bank."""
-
-    period: float
-    spans: tuple[float, float]
-    turn_noise: tuple[float, float]
+# Of age, total and lag (s): mean, deviation, 2.5 and 97.5 % quantiles; by how much rates are newer (s)
+FOUND = {"mean": 3, "deviation": 3, "lower": 3, "upper": 3, "newer": 1}
+# What a grid leaves: the mode (a, D, l, r); the likeliest noise models of gyroscope and velocity; log Bayes factors
+# against no age and no total; whether the mode is the last that there is (a, D, l), and whether that of a finer grid is
+# on its edge
+LEFT = {"mode": 4, "chosen": 2, "odds": 2, "at_end": 3, "moved": 1}
 
 
 class Search:
     """Operations that look for the posterior of what a bank has seen so far: the coarse grid where flags["searches"],
-    and at most flags["rounds"] finer ones, around its mode, or that of the last finer one. against: odds against rates.
+    and at most flags["rounds"] finer ones, around its mode, or that of the last finer one.
 
     memory: what they leave, by name, which the next instants read.
     """
 
-    def __init__(self, bank: Bank, backend: str, flags: dict[str, np.ndarray], against: np.ndarray) -> None:
-        self._flags, about = flags, BankSettings(bank.period, bank.spans, bank.turn_noise)
+    def __init__(self, bank: Bank, backend: str, flags: dict[str, np.ndarray]) -> None:
+        self._flags = flags
         form = Kernel if backend == "compiled" else Posterior
-        known = {name: bank.part(name) for name in ("weights", "lateral")}
-        for name, moments in bank.moments.items():
-            known[name] = moments.reshape(-1, moments.shape[-1])
-        self.coarse = form(about, 1, known | {"against": against})
-        self.left = dict(self.coarse.results)
-        handed = {"centre": self.left["mode"], "models": self.left["chosen"], "against": self.left["allowed"]}
-        self.fine = form(about, BANK.fine, known | handed | {"rounds": flags["rounds"]})
+        seen = {name: moments.reshape(-1, moments.shape[-1]) for name, moments in bank.moments.items()}
+        seen |= {name: bank.part(name) for name in ("weights", "lateral")}
+        nowhere = {"centre": np.zeros(4), "models": np.zeros(2), "rounds": np.zeros(1)}
+        self.coarse = form(bank, 1, seen | nowhere)
+        self.left = {name: self.coarse.results[name] for name in LEFT}
+        around = {"centre": self.left["mode"], "models": self.left["chosen"], "rounds": flags["rounds"]}
+        self.fine = form(bank, BANK.fine, seen | around)
         self.found = {name: self.fine.results[name] for name in ("mode", "moved", *FOUND)}
         found = {f"fine_{name}": values for name, values in self.found.items()}
         self.memory = Memory("Search", worked=self.left | found)
@@ -90,181 +79,172 @@ class Posterior(BufferedFunction):
     """The posterior on a grid, on arrays: all hypotheses for fine = 1, or steps a `fine`-th as large within one step of
     `centre`, (a, D, l, r).
 
-    Arguments: moments of the bank, one noise model after another; against: log odds against rates LATE, PROMPT,
-    BETWEEN; of a finer grid models: which noise models count, and rounds: how many grids at most, each around the mode
-    of the last while that is on its edge. Results: LEFT, and of a finer grid FOUND.
+    Arguments: moments of the bank, one noise model after another; of a finer grid models: which noise models count, and
+    rounds: how many grids at most, each around the mode of the last while that is on its edge. Results: LEFT, and of a
+    finer grid FOUND.
     """
 
-    def __init__(self, about: BankSettings, fine: int, shared: Mapping[str, np.ndarray]) -> None:
-        self.about, self.fine = about, fine
-        layout = Layout(about.period)
-        commands, both = layout.commands + 3, 2 * layout.columns
-        shapes: dict[str, Any] = {"gyro": (commands, GYROS * commands), "thrust": (commands, commands)}
-        shapes |= {"velocity": (both, len(BANK.velocity_models) * both), "attitude": (both, both)}
-        shapes |= {"against": 3, "centre": 4, "models": 2, "weights": 3, "lateral": 1, "rounds": 1}
-        results = LEFT if fine == 1 else LEFT | FOUND
-        sizes = {name: ca.DM.zeros(size) for name, size in results.items()}  # what is found is found elsewhere
-        name = "coarse" if fine == 1 else "fine"
-        super().__init__(named_function(name, named_symbols(ca.SX, shapes), sizes), shared)
+    def __init__(self, bank: Bank, fine: int, given: Mapping[str, np.ndarray]) -> None:
+        self.bank, self.fine = bank, fine
+        symbols = {name: ca.SX.sym(name, *array.T.shape) for name, array in given.items()}
+        sizes = LEFT if fine == 1 else LEFT | FOUND
+        results = {name: ca.DM.zeros(size) for name, size in sizes.items()}  # what is found is found elsewhere
+        super().__init__(named_function("coarse" if fine == 1 else "fine", symbols, results), given)
 
     def __call__(self) -> None:
         centre = self.arguments["centre"]
         for _ in range(max(1, int(self.arguments["rounds"][0]))):
             found = self._around(centre)
-            for name, values in found.items():
-                self.results[name][...] = values
+            for name, values in self.results.items():
+                values[...] = found[name]
             centre = found["mode"]
             if not found["moved"]:
                 break
 
     def _around(self, centre: np.ndarray) -> dict[str, Any]:
-        """On the grid around a mode."""
-        given, whole, steps = self.arguments, self.fine == 1, STEPS / self.fine
-        reach = LARGEST if whole else STEPS
+        """LEFT and FOUND on the grid around a mode. Arrays over hypotheses: (r, a, l, D)."""
+        whole = self.fine == 1
+        steps, reach = STEPS / self.fine, LARGEST if whole else STEPS
         low, high = np.maximum(centre - reach, 0), np.minimum(centre + reach, LARGEST)
-        sizes = np.floor((high - low + INSTANT) / steps).astype(int) + 1
-        grids = [low[i] + steps[i] * np.arange(sizes[i]) for i in range(4)]
-        ages, totals, lags, newer = grids
+        ages, totals, lags, newer = map(points, low, high, steps)
+        by, age, lag, total = np.meshgrid(newer, ages, lags, totals, indexing="ij", sparse=True)
 
-        # thrusts, of lag and total; gyroscope, of lag and the total beside what rates are old by, a - r
-        first = max(ages[0] - newer[-1], 0)
-        olds = first + steps[0] * np.arange(round((max(ages[-1] - newer[0], 0) - first) / steps[0]) + 1)
-        ways = np.minimum(totals, BANK.largest_lag) - np.maximum(totals - BANK.largest_dead_time, 0)
-        prior = -totals / BANK.mean_delay - np.log(np.maximum(ways, 0) + BANK.lag_step)
-        of_total = self._by_commands("thrust", 0, totals, lags) + prior
-        times = olds[0] + totals[0] + steps[0] * np.arange(len(olds) + len(totals) - 1)
-        models = range(GYROS) if whole else [int(given["models"][0])]
-        gyro_model, of_gyro = _likeliest({i: self._by_commands("gyro", i, times, lags) for i in models})
-        by_old = np.array([of_total + of_gyro[:, i : i + len(totals)] for i in range(len(olds))])
-
-        # velocities and attitudes, of age and of what rates are newer by
-        models = range(len(BANK.velocity_models)) if whole else [int(given["models"][1])]
-        velocity_model, of_age = _likeliest({i: self._by_readings("velocity", i, ages) for i in models})
-        age, by = np.meshgrid(ages, newer)
+        # rates are newer by up to the age; by less than a step is how they go between readings
         rates = rates_of(age, by)
-        counts = age - by > -INSTANT
-        counts &= (rates != BETWEEN) | (by > BANK.age_step - INSTANT)  # less is how rates go between readings
-        old = np.clip(np.rint((age - by - first) / steps[0]).astype(int), 0, len(olds) - 1)
-        of_newer = self._by_readings("attitude", 0, newer)
-        alone = of_age - ages / BANK.mean_delay + of_newer[:, None] - given["against"][rates]
-        log = np.where(counts, alone + by_old.max(axis=(1, 2))[old], -NEVER)
-        without_total = np.where(counts, alone + by_old[:, :, 0].max(axis=1)[old], -NEVER)
+        impossible = (by > age + INSTANT) | (rates == BETWEEN) & (by < BANK.age_step - INSTANT)
+        rates_old = np.maximum(age - by, 0)
+        times = points(rates_old.min() + totals[0], rates_old.max() + totals[-1], steps[0])
+        at_time = np.rint((rates_old + total - times[0]) / steps[0]).astype(int)
+
+        _, of_thrust = self._by_commands("thrust", totals, lags)
+        gyro_model, of_gyro = self._by_commands("gyro", times, lags)
+        velocity_model, of_age = self._by_readings("velocity", ages)
+        _, of_newer = self._by_readings("attitude", newer)
+        likelihood = of_thrust + of_gyro[np.arange(len(lags))[:, None], at_time] + of_age.reshape(age.shape)
+        ways = np.minimum(total, BANK.largest_lag) - np.maximum(total - BANK.largest_dead_time, 0)
+        prior = (
+            -(age + total) / BANK.mean_delay
+            - np.log(np.maximum(ways, 0) + BANK.lag_step)
+            - np.take(BANK.rates_odds, rates)
+        )
+        log = np.where(impossible, -NEVER, likelihood + of_newer.reshape(by.shape) + prior)
 
         best = log.max()
-        at_newer, at_age = np.unravel_index(log.argmax(), log.shape)
-        of_best = by_old[old[at_newer, at_age]]
-        at_lag, at_total = np.unravel_index(of_best.argmax(), of_best.shape)
+        at_newer, at_age, at_lag, at_total = np.unravel_index(log.argmax(), log.shape)
         mode = np.array([ages[at_age], totals[at_total], lags[at_lag], newer[at_newer]])
-        of_mode = rates_of(mode[0], mode[3])
-        found: dict[str, Any] = {
+        share = np.exp(log - best)
+        shares = share.sum((0, 2, 3)), share.sum((0, 1, 2)), share.sum((0, 1, 3))
+        beside = STEPS[[0, 2, 2]] / self.fine  # a total goes along with a lag that is between points of the grid
+        spreads = np.array(list(map(_summary, shares, (ages, totals, lags), steps, beside)))
+        return {
             "mode": mode,
-            "rates": of_mode,
-            "allowed": np.where(np.arange(3) == of_mode, given["against"], NEVER),
             "chosen": [gyro_model, velocity_model],
-            "odds": [best - log[:, 0].max(), best - without_total.max()],
+            "odds": [best - log[:, 0].max(), best - log[..., 0].max()],
             "at_end": mode[:3] > LARGEST[:3] - INSTANT,
             "moved": not whole and (np.abs(mode - centre) >= STEPS - INSTANT).any(),
+            **dict(zip(("mean", "deviation", "lower", "upper"), spreads.T, strict=True)),
+            "newer": spreads[0, 0] if rates_of(mode[0], mode[3]) == PROMPT else mode[3],
         }
-        if whole:
-            return found
 
-        likely = np.exp(log - best)
-        of_old = np.array([likely[old == i].sum() for i in range(len(olds))])
-        by_total = np.exp(by_old - by_old.max(axis=(1, 2), keepdims=True))
-        share_of_age = (likely * by_total.sum(axis=(1, 2))[old]).sum(axis=0)
-        share = np.tensordot(of_old, by_total, axes=1)
-        shares = share_of_age, share.sum(axis=0), share.sum(axis=1)
-        beside = STEPS[[0, 2, 2]] / self.fine  # a total goes along with a lag that is between points of the grid
-        spreads = [_summary(*of) for of in zip(shares, grids[:3], steps[:3], beside, strict=True)]
-        found |= dict(zip(("mean", "deviation", "lower", "upper"), np.transpose(spreads), strict=True))
-        found["newer"] = found["mean"][0] if of_mode == PROMPT else mode[3]
-        return found | {"best": best}
+    def _models(self, name: str, chosen: int) -> dict[int, np.ndarray]:
+        """Moments of the noise models that count, by number: all, or of a finer grid the `chosen` of "models"."""
+        moments = dict(enumerate(self.bank.moments[name]))
+        if self.fine == 1 or len(moments) == 1:
+            return moments
+        model = int(self.arguments["models"][chosen])
+        return {model: moments[model]}
 
-    def _moments(self, name: str, model: int) -> np.ndarray:
-        """Of one noise model."""
-        moments = self.arguments[name]
-        size = moments.shape[1]
-        return moments[model * size : (model + 1) * size]
+    def _by_commands(self, name: str, totals: np.ndarray, lags: np.ndarray) -> tuple[int, np.ndarray]:
+        """The likeliest noise model of a filter that commands drive, and log likelihoods, (l, D), by its innovations,
+        whose scale has a prior."""
+        bank, n = self.bank, max(self.arguments["weights"][0], 1)
+        longest, late, span, prior = BANK.largest_dead_time, 0.0, bank.spans[0], BANK.scale_deviation
+        if name == "gyro":  # two axes; two readings differ by the mean in between
+            n *= 2
+            longest += BANK.largest_age
+            late, span, prior = bank.spans[1] / 2, bank.period, BANK.inertia_deviation
+        lag, total = np.meshgrid(lags, totals, indexing="ij")
+        possible = (total - lag > -INSTANT) & (total - lag < longest + INSTANT)
+        h = command_weights(bank.period, bank.layout.commands, total[possible] + late, lag[possible], span)
+        found = {}
+        for model, M in self._models(name, 0).items():
+            cross = h @ M[0, 2:-1]
+            square = np.sum(h @ M[2:-1, 2:-1] * h, axis=1)
+            least = np.min(M[0, 0] - 2 * cross + square)
+            ridge = max(least, 0) / n / prior**2 + BANK.floor
+            scale = (cross + ridge) / (square + ridge)
+            sse = np.maximum(M[0, 0] - 2 * scale * cross + scale**2 * square, 0)
+            best = sse.argmin()
+            weights = scale[best] * h[best]
+            now, before = np.r_[1, 0, -weights, 0], np.r_[0, 1, 0, -weights]
+            log = np.full(total.shape, -NEVER)
+            log[possible] = _log_likelihood(sse, n, before @ M @ now, now @ M @ now)
+            found[model] = log
+        return _likeliest(found)
 
-    def _by_commands(self, name: str, model: int, totals: np.ndarray, lags: np.ndarray) -> np.ndarray:
-        """Log likelihood, (l, D), by the innovations of a filter that commands drive, their scale with a prior."""
-        M, n, (total, lag) = self._moments(name, model), max(self.arguments["weights"][0], 1), np.meshgrid(totals, lags)
-        longest, span, prior = BANK.largest_dead_time, self.about.spans[0], BANK.scale_deviation
-        wait = total - lag
-        if name == "gyro":  # two readings differ by the mean in between
-            longest, span, prior = longest + BANK.largest_age, self.about.period, BANK.inertia_deviation
-            n, total = 2 * n, total + self.about.spans[1] / 2
-        possible = (wait > -INSTANT) & (wait < longest + INSTANT)
-        h = command_weights(self.about.period, len(M) - 3, total[possible], lag[possible], span)
-        cross = h @ M[0, 2:-1]
-        square = np.sum(h @ M[2:-1, 2:-1] * h, axis=1)
-        least = np.min(M[0, 0] - 2 * cross + square)
-        ridge = max(least, 0) / n / prior**2 + BANK.floor
-        scale = (cross + ridge) / (square + ridge)
-        sse = np.maximum(M[0, 0] - 2 * scale * cross + scale**2 * square, 0)
-        best = sse.argmin()
-        weights = scale[best] * h[best]
-        now, before = np.r_[1, 0, -weights, 0], np.r_[0, 1, 0, -weights]
-        log = np.full(total.shape, -NEVER)
-        log[possible] = _log_likelihood(sse, n, before @ M @ now, now @ M @ now)
-        return log
-
-    def _by_readings(self, name: str, model: int, ages: np.ndarray) -> np.ndarray:
-        """Log likelihood, (a,), by the innovations of a filter that integrates readings, their bias with a prior.
-        reading: deviation of what one adds in a period. noise: of the state that it is compared with."""
-        M, (_, *weights) = self._moments(name, model), self.arguments["weights"]
+    def _by_readings(self, name: str, ages: np.ndarray) -> tuple[int, np.ndarray]:
+        """The likeliest noise model of a filter that integrates readings, and log likelihoods, (a,), by its
+        innovations; the readings' bias has a prior."""
+        bank = self.bank
+        _, of_velocity, of_attitude = np.maximum(self.arguments["weights"], 1)
+        # reading: deviation of what one adds in a period; noises: of the state that it is compared with
         if name == "velocity":
-            reading, noise = self.about.period * np.sqrt(self.arguments["lateral"][0]), BANK.velocity_models[model]
-            n, span, prior = 2 * max(weights[0], 1), self.about.spans[0], BANK.bias_deviation
+            reading, noises = bank.period * np.sqrt(self.arguments["lateral"][0]), BANK.velocity_models
+            n, span, prior = 2 * of_velocity, bank.spans[0], BANK.bias_deviation
         else:
-            reading, noise = self.about.turn_noise
-            n, span, prior = AXES * max(weights[1], 1), self.about.spans[1], BANK.rate_bias_deviation
-        columns = len(M) // 2
-        square, products, known = M[:columns, :columns], M[:columns, columns:], columns - AXES
-        of_readings = reading_weights(self.about.period, known - 1, ages - span / 2)
-        h = np.hstack([np.ones((len(ages), 1)), -of_readings])
-        sse = np.sum(h @ square[:known, :known] * h, axis=1)
-        cross = h @ square[:known, known:]
-        ridge = max(sse.min(), 0) / n / prior**2 + BANK.floor
-        estimate = cross @ np.linalg.inv(square[known:, known:] + ridge * np.eye(AXES))
-        sse = np.maximum(sse - np.sum(cross * estimate, axis=1), 0)
-        # what white noise of readings adds to an innovation of a filter that keeps 1 - gain of its error
-        kept = 1 - first_order_gain(reading / noise)
-        places = np.arange(known - 1)
-        correlated = of_readings @ kept ** np.abs(places[:, None] - places)
-        added = reading**2 * np.sum(correlated * of_readings, axis=1) / (1 - kept**2) + 2 * noise**2 / (1 + kept)
-        sse = sse * added[0] / added
-        best = sse.argmin()
-        whole = np.r_[h[best], -estimate[best]]
-        return _log_likelihood(sse, n, whole @ products @ whole, whole @ square @ whole)
+            reading, *noises = bank.turn_noise
+            n, span, prior = AXES * of_attitude, bank.spans[1], BANK.rate_bias_deviation
+        columns, known = bank.layout.columns, bank.layout.columns - AXES
+        of_readings = reading_weights(bank.period, known - 1, ages - span / 2)
+        h = np.insert(-of_readings, 0, 1, axis=1)
+        found = {}
+        for model, M in self._models(name, 1).items():
+            square, products = M[:columns, :columns], M[:columns, columns:]
+            sse = np.sum(h @ square[:known, :known] * h, axis=1)
+            cross = h @ square[:known, known:]
+            ridge = max(sse.min(), 0) / n / prior**2 + BANK.floor
+            estimate = cross @ np.linalg.inv(square[known:, known:] + ridge * np.eye(AXES))
+            sse = np.maximum(sse - np.sum(cross * estimate, axis=1), 0)
+            # what white noise of readings adds to an innovation of a filter that keeps 1 - gain of its error
+            kept, noise = 1 - first_order_gain(reading / noises[model]), noises[model]
+            places = np.arange(known - 1)
+            correlated = of_readings @ kept ** np.abs(places[:, None] - places)
+            of_reading = reading**2 * np.sum(correlated * of_readings, axis=1) / (1 - kept**2)
+            added = of_reading + 2 * noise**2 / (1 + kept)
+            sse = sse * added[0] / added
+            best = sse.argmin()
+            whole = np.r_[h[best], -estimate[best]]
+            found[model] = _log_likelihood(sse, n, whole @ products @ whole, whole @ square @ whole)
+        return _likeliest(found)
 
 
 class Kernel(Posterior):
     """The same in C, posterior.c. source: its text, compiled unless the cache has it."""
 
-    def __init__(self, about: BankSettings, fine: int, shared: Mapping[str, np.ndarray]) -> None:
-        super().__init__(about, fine, shared)
-        self.source = kernel_source(about)
-        library = linked_library("posterior", (self.source, ()))
-        code = getattr(ctypes.PyDLL(str(library)), self.function.name())
-        code.argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_int]
-        places = []
-        for arrays in (self.arguments, self.results):
-            places.append(np.array([array.ctypes.data for array in arrays.values()], np.uintp))
-        self.for_c = CFunction(code, *places, np.zeros(1, np.int64), np.zeros(1))
-        self._code = partial(code, *(array.ctypes.data for array in self.for_c.arrays), 0)
+    def __init__(self, bank: Bank, fine: int, given: Mapping[str, np.ndarray]) -> None:
+        super().__init__(bank, fine, given)
+        self.source = kernel_source(bank)
+        library = ctypes.PyDLL(str(linked_library("posterior", (self.source, ()))))
+        self._code = getattr(library, self.function.name())
+        self._code.argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_int]
+        arguments, results = (
+            np.array([array.ctypes.data for array in arrays.values()], np.uintp)
+            for arrays in (self.arguments, self.results)
+        )
+        self.for_c = CFunction(self._code, arguments, results, np.zeros(1, np.int64), np.zeros(1))
+        self._addresses = [array.ctypes.data for array in self.for_c.arrays]
 
     def __call__(self) -> None:
-        self._code()
+        self._code(*self._addresses, 0)
 
 
-def kernel_source(about: BankSettings) -> str:
+def kernel_source(bank: Bank) -> str:
     """posterior.c for these settings, complete: the numbers of BankSettings under their names, and what is here."""
-    layout, whole, steps = Layout(about.period), (LARGEST / STEPS).round().astype(int) + 1, 2 * BANK.fine + 1
+    whole, steps = (LARGEST / STEPS).round().astype(int) + 1, 2 * BANK.fine + 1
     side, times = max(*whole, steps), 2 * whole[0] - 1 + max(whole[1], steps)
     counts = {
-        "COMMANDS": layout.commands,
-        "READINGS": layout.readings,
+        "COMMANDS": bank.layout.commands,
+        "READINGS": bank.layout.readings,
         "GYROS": GYROS,
         "VELOCITIES": len(BANK.velocity_models),
         "FINE": BANK.fine,
@@ -273,13 +253,19 @@ def kernel_source(about: BankSettings) -> str:
         "MOST": times * max(whole[2], steps),
     }
     numbers = {name.upper(): value for name, value in vars(BANK).items() if isinstance(value, float)}
-    numbers |= {"PERIOD": about.period, "INSTANT": INSTANT, "NO_LAG": NO_LAG, "NEVER": NEVER}
-    numbers |= dict(zip(("SPAN_FORCE", "SPAN_RATE"), about.spans, strict=True))
-    numbers |= dict(zip(("TURN_NOISE", "ATTITUDE_NOISE"), about.turn_noise, strict=True))
+    numbers |= {"PERIOD": bank.period, "INSTANT": INSTANT, "NO_LAG": NO_LAG, "NEVER": NEVER}
+    numbers["SPAN_FORCE"], numbers["SPAN_RATE"] = bank.spans
+    numbers["TURN_NOISE"], numbers["ATTITUDE_NOISE"] = bank.turn_noise
     lines = [f"enum {{ {name} = {count} }};" for name, count in counts.items()]
     lines += [f"#define {name} ((SUM){value!r})" for name, value in numbers.items()]
-    lines.append(f"#define VELOCITY_NOISES {{{', '.join(map(repr, BANK.velocity_models))}}}")
+    for name, values in {"VELOCITY_NOISES": BANK.velocity_models, "RATES_ODDS": BANK.rates_odds}.items():
+        lines.append(f"#define {name} {{{', '.join(map(repr, values))}}}")
     return "\n".join([*lines, SOURCE.read_text(encoding="utf-8")])
+
+
+def points(low: float, high: float, step: float) -> np.ndarray:
+    """Of a grid, from low on up to high, `step` apart."""
+    return low + step * np.arange(int((high - low + INSTANT) / step) + 1)
 
 
 def rates_of(age: Any, newer: Any) -> Any:
@@ -289,7 +275,7 @@ def rates_of(age: Any, newer: Any) -> Any:
 
 
 def _likeliest(found: dict[int, np.ndarray]) -> tuple[int, np.ndarray]:
-    """Of the log likelihoods by several noise models those that have the largest, and which model it is."""
+    """Of the log likelihoods by several noise models the model that has the largest, and its."""
     which = max(found, key=lambda model: found[model].max())
     return which, found[which]
 
@@ -307,8 +293,6 @@ def _summary(share: np.ndarray, grid: np.ndarray, step: float, beside: float) ->
     share = share / share.sum()
     mean = share @ grid
     deviation = np.sqrt(share @ (grid - mean) ** 2 + step**2 / 12)
-    below, ends = np.cumsum(share) - share, []
-    for p in QUANTILES:
-        passed = np.clip((p - below) / np.maximum(share, 1 / NEVER), 0, 1)
-        ends.append(grid[0] - step / 2 + step * passed.sum())
-    return mean, deviation, max(ends[0] - beside / 2, 0.0), ends[1] + beside / 2
+    ends = np.append(grid - step / 2, grid[-1] + step / 2)
+    low, high = np.interp(QUANTILES, np.append(0, share.cumsum()), ends)
+    return mean, deviation, max(low - beside / 2, 0.0), high + beside / 2

@@ -18,11 +18,11 @@ def restless(flights: Mapping[Contestant, Sequence[Row]], labels: Mapping[Contes
     lines = []
     for who, without in _with_auto(flights):
         for name, what in (("command_change", "commands change"), ("charge_used", "the battery is used")):
-            before = {(condition_of(row), row["seed"]): value for value, row in known_values(flights[without], name)}
-            pairs = [
-                (value, before.get((condition_of(row), row["seed"]))) for value, row in known_values(flights[who], name)
-            ]
-            ratios = [value / other for value, other in pairs if other]
+            before, after = (
+                {(condition_of(row), row["seed"]): value for value, row in known_values(flights[each], name)}
+                for each in (without, who)
+            )
+            ratios = [value / before[pair] for pair, value in after.items() if before.get(pair)]
             if ratios and (ratio := median(ratios)) > RESTLESS:
                 pairs_text = f"in the median of {count(len(ratios), 'pair')}"
                 lines.append(f"{labels[who]}: {what} {ratio:.2g} times as much as of {labels[without]}, {pairs_text}")

@@ -89,6 +89,7 @@ class DisturbanceSettings:
     most_force_bandwidth: float = 40.0  # rad/s: the accelerometer's reading has the own thrust in it, a loop
     noise_memory: float = 2.0  # s, of the mean squared innovations
     torque_bandwidths: tuple[float, ...] = (3.0, 15.0)  # rad/s, below that of the attitude loop
+    torque_behind: float = 1.0  # rad, of a bandwidth by which age, delays and period put a torque behind
     sheet_factor: float = 3.0  # by which a stated noise may be wrong
     rate_noise: float = 1e-3  # rad/s, least of the gyroscope against the model
     evidence_on: float = 8.0  # log likelihood ratio from which a disturbance acts: very strong (Kass & Raftery 1995)
@@ -136,6 +137,7 @@ class DecisionSettings:
     begins: float = 0.02  # s, of evidence for the first posterior
     rounding: float = 0.01  # of a control period, by which times may be off in single precision after 1000 s
     early: float = 0.6  # s, of looks every `soonest`: a push or a late pose is found by then
+    few_readings: float = 8.0  # of the bank: biases, scale and delays are six numbers; until then the softest grid
     age_odds: float = 5.0  # log Bayes factor against no age: very strong (Kass & Raftery 1995)
     between: float = 0.015  # s, of an age that needs twice as much: how a force goes between readings is not known
     total_odds: float = 2.0  # log Bayes factor against no dead time and lag: positive
@@ -143,6 +145,7 @@ class DecisionSettings:
     least_change: float = 0.0005  # s, of age and total, worth another plan
     inexact: float = 0.08  # of what is predicted over: what happens meanwhile is not known
     least_lag: float = 0.003  # s, below which a lag is not inverted: it would amplify noise
+    next_period: float = 0.25  # of a period, by which rotor speeds of the one before are later at least: motors lag
     large_noise: float = 0.002  # m, of the estimated position, which a stiff controller would amplify
     stiff_total: float = 0.015  # s, largest total under the stiffest grid
     at_limit: float = 0.999  # share of the range of a thrust from which on it is at its limit
@@ -152,6 +155,7 @@ class DecisionSettings:
     corners_memory: float = 10.0  # s: a path that saturates rotors does so again
     middle: int = 2  # of grids
     largest_lead: float = 2.0  # gain of an inverted lag on a change of thrust; the rest of the lag is predicted: 1.12
+    most_inverted: float = 0.03  # s, of a lag: what that gain is at 50 Hz; slower, commands went from limit to limit
     largest_wait: float = 0.1  # s, over which an MPC predicts
     samples: int = 4  # of the reference in a control period, so that an MPC may ask for later ones
     # Beside the controller's own, which is the softest: 1.64 with that alone. Margins of a nominal MPC at 50 Hz in
@@ -186,7 +190,7 @@ class PathSettings:
 class ReportSettings:
     """What `show --beliefs` compares with the truth."""
 
-    fine: int = 20  # steps of a period, in which the lag of the thrusts is followed
+    settled: float = 20.0  # time constants, after which nothing is left of a lag of the thrusts
     recent: float = 4.0  # time constants of a low pass, after which 2 % of a step are left
     last: float = 2.0  # s, over which the scale of the thrust is taken
     rounded: float = 1e-3  # of half a band, below which a value is none

@@ -12,9 +12,9 @@ from quadexp.control.control_step import InputArrays, run
 from quadexp.models.residual import no_residual
 from quadexp.physics.state import ATTITUDE, RATE, VELOCITY
 from quadexp.plugins.auto.bank import Bank, first_order_gain, stationary_gain
-from quadexp.plugins.auto.posterior import BETWEEN, FOUND, Search
+from quadexp.plugins.auto.posterior import FOUND, Search
 from quadexp.plugins.auto.responses import command_weights, reading_weights
-from quadexp.plugins.auto.settings import BANK, NEVER
+from quadexp.plugins.auto.settings import BANK
 from quadexp.plugins.remedies.sent_commands import SentCommands
 
 PERIOD = 0.02
@@ -34,7 +34,6 @@ class Posterior(NamedTuple):
     lower: np.ndarray
     upper: np.ndarray
     newer: float
-    best: float
     age_odds: float
     total_odds: float
     at_end: bool
@@ -42,24 +41,18 @@ class Posterior(NamedTuple):
 
 def posterior(bank, backend="interpreted", rounds=1):
     """As the instants of a flight look for it, see decide.py; rounds: finer grids in an instant."""
-    odds, found = None, []
-    for against in BANK.rates_odds, (*BANK.rates_odds[:2], NEVER):
-        search = Search(bank, backend, {"searches": np.ones(1), "rounds": np.full(1, float(rounds))}, np.array(against))
-        search.coarse()
-        odds = odds or [search.left[name].copy() for name in ("odds", "at_end")]
-        for _ in range(BANK.passes // rounds):
-            search.fine()
-            run([search.moved()])
-            if not search.found["moved"]:
-                break
-        found.append([search.found[name].copy() for name in FOUND])
-        if search.left["rates"] != BETWEEN:
+    search = Search(bank, backend, {"searches": np.ones(1), "rounds": np.full(1, float(rounds))})
+    search.coarse()
+    age_odds, total_odds = search.left["odds"].copy()
+    at_end = search.left["at_end"] > 0
+    for _ in range(BANK.passes // rounds):
+        search.fine()
+        run([search.moved()])
+        if not search.found["moved"]:
             break
-    mean, deviation, lower, upper, newer, best = max(found, key=lambda one: one[-1])
-    (age_odds, total_odds), at_end = odds
-    upper[at_end > 0] = np.inf
-    at_end = bool(at_end[:2].any())
-    return Posterior(mean, deviation, lower, upper, newer.item(), best.item(), age_odds, total_odds, at_end)
+    mean, deviation, lower, upper, newer = (search.found[name].copy() for name in FOUND)
+    upper[at_end] = np.inf
+    return Posterior(mean, deviation, lower, upper, newer.item(), age_odds, total_odds, bool(at_end[:2].any()))
 
 
 def spin_of(vehicle):

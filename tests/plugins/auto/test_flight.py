@@ -545,6 +545,8 @@ def test_a_flight_goes_on_from_what_is_remembered_with_the_same_bits(controller)
 
     for k in range(70):
         thrusts(k)
+    parts = loop.controller.running.control_step.memory
+    assert len({part.owner for part in parts}) == len(parts)  # the names of one would hide another's
     kept = {name: values.copy() for name, values in loop.memory.items()}
     first = [thrusts(k) for k in range(70, 110)]
     assert loop.controller.log()["auto_grid"] > 0  # a decision has been made
