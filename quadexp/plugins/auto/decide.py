@@ -2,7 +2,7 @@
 
 age               posterior mean, where the Bayes factor against none is very strong
 dead time, lag    posterior mean, where it is positive
-stiffness         by the timing uncertainty  sigma = sd(D) + |D - acted| + max(sd(a), |a - acted|) / 2, the noise of the
+stiffness         by the timing uncertainty  sigma = sd(D) + |D - acted| + max(sd(a), |a - acted| / 2) / 2, the noise of the
                   estimated position, how commands alternate, and whether rotors saturate; one grid at a time towards
                   the stiffer. Where age or total may be any larger one than those of the grid it is the softest.
 
@@ -98,7 +98,7 @@ def decided(known: Expression, found: Mapping[str, Expression], last: Decision, 
     before = ca.vertcat(last.age, last.total, last.lag, last.newer)
     small = ca.mmax(ca.fabs(wanted - before)[:2]) < s.least_change
     age, acted, lag, newer = ca.vertsplit(ca.if_else(small, before, wanted))
-    late = ca.fmax(found["deviation"][0], ca.fabs(found["mean"][0] - age))  # also an age that does not act yet
+    late = ca.fmax(found["deviation"][0], ca.fabs(found["mean"][0] - age) / 2)  # also an age that does not act yet
     timing = found["deviation"][1] + ca.fabs(total - acted) + late / 2
     grid = sum(timing + s.inexact * (age + acted) < one.timing for one in s.grids)
     noisy = ca.logic_or(statistics.position > s.large_noise, statistics.saturates > s.saturates)
