@@ -1,4 +1,4 @@
-"""controller.c of an exported folder: arrays, functions and calls of a controller, around loop.c and vehicle.c."""
+"""The calls of a controller as C: arrays and functions, around loop.c and vehicle.c."""
 
 from __future__ import annotations
 
