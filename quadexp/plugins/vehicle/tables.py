@@ -23,6 +23,7 @@ def controller_c(exported: Program) -> str:
     generated += [start] if start is not None else []
     image = arrays.contents("ram")
     begins, rom = np.trim_zeros(image, "b"), arrays.contents("rom")
+    work, integers = (max([1, *sizes]) for sizes in ([f.sz_w() for f in generated], [f.sz_iw() for f in generated]))
     lines = [declared(f"{names.prefix}_{name}") for name, _ in functions.values()]
     for index, entry in enumerate(exported.calls):
         lines += called_by(exported, index, entry, functions) if entry.function is not None else []
@@ -34,8 +35,7 @@ def controller_c(exported: Program) -> str:
         "IMAGED": len(begins),
         "SUMS": len(arrays.contents("sums")),
         "ROUND": math.lcm(*(entry.every for entry in exported.calls)),
-        "WORK": max([1, *(function.sz_w() for function in generated)]),
-        "PLACES": max([1, *(function.sz_iw() for function in generated)]),
+        "WORK": f"static real w[{work}];\nstatic integer iw[{integers}];" if functions or start is not None else "",
         "NUMBERS": names.literals(arrays.contents("numbers")),
         "ROM": f"static const real rom[] = {{{names.literals(rom)}}};" if rom.size else "",
         "IMAGE": names.literals(begins),
