@@ -32,7 +32,7 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.parts.compose import compose, session
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.drawing.style import BLUE, styled
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 
 SIZES = {"nodes": (5, 10, 20, 40, 80), "points": (5, 20, 100, 300, 1000), "rotors": (4, 5, 6, 7, 8)}
 SIZES["cells"] = (50, 500, 5000)
@@ -67,7 +67,7 @@ def sweep_of(cells: int) -> Measured:
         with tempfile.TemporaryDirectory(prefix="quadexp-benchmark-") as folder, session() as composer:
             began = time.process_time()
             keys = ["trajectory=hover", "trajectory.duration=0.1", "controller=nominal_mpc", f"seed=range({cells})"]
-            run_sweep(composer.expand(keys), folder, isolate=False)
+            run_sweep(composer.expand(keys), folder, SweepRequest(isolate=False))
             return time.process_time() - began
 
     return work

@@ -36,7 +36,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.parts.compose import compose, expand, session
 from quadexp.sweeps.engine import Engine, LocalEngine, Task
 from quadexp.sweeps.plan import Job, flying_order, plan_cells
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 
 SHORT = ["trajectory=step", "trajectory.duration=0.4", "trajectory.step_time=0.2"]
 CONTROLLERS = "controller=nominal_mpc,perfect_mpc"
@@ -158,7 +158,7 @@ def driver_memory(cells: int) -> None:
     with session() as composer, folder() as out:
         began, before = time.process_time(), resident()
         grid = composer.expand([*SHORT, CONTROLLERS, f"seed=range({cells // 2})"], check=False)
-        run_sweep(grid, out / "r", engine=NoFlights(), function=trivial_cell, progress=progress)
+        run_sweep(grid, out / "r", SweepRequest(engine=NoFlights(), function=trivial_cell, progress=progress))
         mark("tables written")
     print(json.dumps({"cells": cells, "before_MB": before, **seen, "peak_MB": resident(name="VmHWM")}))
 
@@ -167,7 +167,7 @@ def rerun(cells: int) -> Record:
     """The whole command on a finished sweep, three times."""
     overrides = [*SHORT, CONTROLLERS, f"seed=range({cells // 2})"]
     with folder() as out:
-        run_sweep(expand(overrides), out / "r", engine=LocalEngine(2))
+        run_sweep(expand(overrides), out / "r", SweepRequest(engine=LocalEngine(2)))
         command = [sys.executable, "-m", "quadexp", "evaluate", "--sweep", *overrides, "--out", str(out / "r")]
         seconds, used = [], []
         for _ in range(3):
@@ -196,7 +196,7 @@ def order() -> Record:
 def store(cells: int) -> Record:
     """Finding the cells of a folder, and taking the row of one from its file."""
     with folder() as out:
-        flown = run_sweep(expand([*SHORT, "seed=range(20)"]), out / "few", engine=LocalEngine(2))
+        flown = run_sweep(expand([*SHORT, "seed=range(20)"]), out / "few", SweepRequest(engine=LocalEngine(2)))
         few = CellStore(out / "few")
         keys = [row["key"] for row in flown.rows]
         began = time.perf_counter()

@@ -2,8 +2,6 @@
 from quadexp.api import collect as collect
 from quadexp.api import fit as fit
 from quadexp.api import fit_drag as fit_drag
-from quadexp.api import fit_gp as fit_gp
-from quadexp.api import fit_nn as fit_nn
 from quadexp.api import load as load
 from quadexp.api import simulate as simulate
 from quadexp.api import sweep as sweep
@@ -22,5 +20,7 @@ from quadexp.loop import controller as controller
 __version__: str
 from quadexp.plugins.bench.api import Leaderboard as Leaderboard
 from quadexp.plugins.bench.api import bench as bench
+from quadexp.plugins.gaussian_process.api import fit_gp as fit_gp
+from quadexp.plugins.neural.api import fit_nn as fit_nn
 from quadexp.plugins.tune.api import Tuning as Tuning
 from quadexp.plugins.tune.api import tune as tune

@@ -105,19 +105,9 @@ def fit(
     return Checkpoint(path, scratch if out is None else None)
 
 
-def fit_gp(data: Place | Dataset, *settings: OverrideLike, **keywords: Any) -> Checkpoint:
-    """Fit Gaussian processes, and linear drag to the same rows: fit("gaussian_process", data, ...)."""
-    return fit("gp", data, *settings, **keywords)
-
-
 def fit_drag(data: Place | Dataset, *settings: OverrideLike, **keywords: Any) -> Checkpoint:
     """Fit linear rotor drag: fit("linear_drag", data, ...)."""
     return fit("drag", data, *settings, **keywords)
-
-
-def fit_nn(data: Place | Dataset, *settings: OverrideLike, **keywords: Any) -> Checkpoint:
-    """Fit a neural network: fit("neural", data, ...)."""
-    return fit("nn", data, *settings, **keywords)
 
 
 def sweep(
@@ -138,10 +128,8 @@ def sweep(
     """
     folder = Scratch() if out is None else Path(out)
     texts = overrides(settings, keywords, lists=True)
-    swept = requests.evaluate(
-        texts, Path(folder), conf, figures=False, old=old, force=force,
-        progress=lambda below: progress_of("flights", progress),
-    )  # fmt: skip
+    asked = requests.Evaluation(overrides=texts, out=Path(folder), conf=conf, figures=False, old=old, force=force)
+    swept = requests.evaluate(asked, lambda below: progress_of("flights", progress))
     results = _results(folder)
     results.attrs["notes"] = swept.result.notes
     return results

@@ -13,6 +13,7 @@ from collections.abc import Container, Iterable, Mapping
 from typing import Any, TypeVar
 
 from quadexp.errors import DataError
+from quadexp.plugin import shipped_places
 
 T = TypeVar("T")
 V = TypeVar("V")
@@ -22,7 +23,7 @@ _FILE_BYTES = 120  # of a file name before a suffix; file systems take 255
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)  # devices on Windows
 # Of models, as they are called for one release more -> kind (parts/models.py). An option of such a group, but for
 # `default`, is GROUP_OPTION of the group `model`.
-SPELLINGS = {"gp": "gaussian_process", "drag": "linear_drag", "nn": "neural"}
+SPELLINGS = shipped_places("spellings")
 
 
 def distinct(values: Iterable[T]) -> list[T]:

@@ -22,7 +22,17 @@ What a place must be:
     papers     a module with what quadexp/report/paper.py asks for
     readers    a module, or another object, with what quadexp/plugins/logs/importers/readers asks for
     sections   a function of a Page (quadexp/plugins/page/report)
+    alternatives  "COMMAND --OPTION": a function that answers instead of a command that ships where that option is
+               given. Its parameters are annotated as a command's; one of them is the option, and those that the command
+               has not are options of it too. Those of installed packages do not count
     exports    a function as `quadexp export` calls it for models and vehicles (quadexp/plugins/exchange)
+
+Of these a name stands for words, and no place:
+
+    groups     a group of the configuration, which is there with its plug-in only (quadexp/parts/schema.py); read before
+               anything else is imported, so those of installed packages do not count
+    reads      what a command reads of the configuration (quadexp/parts/reads.py)
+    spellings  a word for a kind of models, for one release more, of `fit-WORD` and WORD.KEY -> that kind
 
 A name of this program is looked for first, so that what ships needs no look at what is installed. That look reads the
 files entry_points.txt of sys.path itself: importlib.metadata, which does the same, takes as long to import as all the
@@ -49,7 +59,6 @@ BRINGS: dict[str, dict[str, str]] = {
         "evaluate": "quadexp.cli.fly:evaluate",
         "collect": "quadexp.cli.learn:collect",
         "fit": "quadexp.cli.learn:fit",
-        "fit-gp": "quadexp.cli.learn:fit_gp",
         "fit-drag": "quadexp.cli.learn:fit_drag",
         "show": "quadexp.cli.look:show",
         "results": "quadexp.cli.look:results",
@@ -59,10 +68,23 @@ BRINGS: dict[str, dict[str, str]] = {
     },
     "parts": {},
     "models": {"coefficients": "quadexp.models.coefficients", "linear_drag": "quadexp.models.linear_drag"},
+    "alternatives": {},
     "api": {},
     "tables": {},
     "columns": {},
+    "groups": {},
+    "reads": {
+        "simulate": "FLIGHT",
+        "evaluate": "FLIGHT evaluate.metric evaluate.figures evaluate.log_period",
+        "evaluate --sweep": "FLIGHT evaluate engine sweep",
+        "collect": "LOOP collect",
+        "collect --sweep": "LOOP collect sweep",
+        "collect --flight": "vehicle collect.frame collect.thrust collect.state collect.target collect.identified",
+        "fit": "vehicle fit",
+        "qx.controller": "FLIGHT",
+    },
     "services": {},
+    "spellings": {"drag": "linear_drag"},
     "papers": {},
 }
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -51,7 +52,6 @@ def simulate(
 ) -> Flown:
     """Fly one configuration. keep: write the flight, to runs/ where no `out` is given."""
     from quadexp.experiment.evaluate import fly_one
-    from quadexp.experiment.identity import edited_models, unused_model
     from quadexp.log.store import write_flight
     from quadexp.parts.compose import session
     from quadexp.report.metrics import declare_parts, measured
@@ -73,8 +73,8 @@ def simulate(
     if path is not None:
         write_flight(path, flight, force=force)
     about = flight.metadata
-    notes = [unused_model([config]), *edited_models([config]), about["reference_note"], world_note(about["margins"])]
-    return Flown(flight, path, [note for note in notes if note])
+    notes = [note for note in (about["reference_note"], world_note(about["margins"])) if note]
+    return Flown(flight, path, [*_of_models([config]), *notes])
 
 
 class Swept(NamedTuple):
@@ -92,37 +92,53 @@ class Swept(NamedTuple):
     invalid: str
 
 
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """What is asked of `evaluate`; overrides, out, conf, force: see the module.
+
+    sweep: every cell of a sweep, or one cell. figures: None for those of a sweep only. old: cells at `out` flown by
+    other sources than these: refuse, fly again, or keep. watch: a page that shows the sweep while it runs.
+    """
+
+    overrides: Overrides = ()
+    out: Path | None = None
+    conf: Folders = None
+    sweep: bool = True
+    figures: bool | None = None
+    old: Literal["ask", "refly", "keep"] = "ask"
+    force: bool = False
+    watch: bool = False
+
+
 def evaluate(
-    overrides: Overrides = (),
-    out: Path | None = None,
-    conf: Folders = None,
-    *,
-    sweep: bool = True,
-    figures: bool | None = None,
-    old: Literal["ask", "refly", "keep"] = "ask",
-    force: bool = False,
-    watch: bool = False,
-    progress: Callable[[Any], Any] | None = None,
+    asked: Evaluation,
+    progress: Callable[[Any], Any] = lambda below: contextlib.nullcontext(quiet),
     say: Callable[[str], None] = lambda text: None,
 ) -> Swept:
     """Fly every cell of a sweep, or one cell, and write the tables of results.
 
-    figures: None for those of a sweep only. old: cells at `out` flown by other sources than these: refuse, fly again,
-    or keep. watch: a page that shows the sweep while it runs. progress: makes the context that shows how far it is; it
-    is handed what makes the table to be shown below, or None. say: is given what to know before it is flown.
+    progress: makes the context that shows how far it is; it is handed what makes the table to be shown below, or None.
+    say: is given what to know before it is flown.
     """
     from quadexp.parts.compose import Cell, session
     from quadexp.sweeps.server import start_server
 
-    with session(conf) as composer:
-        composer.only("evaluate --sweep" if sweep else "evaluate", overrides)
-        cells = composer.expand(overrides, check=False) if sweep else [Cell(composer.compose(overrides), (*overrides,))]
+    sweep = asked.sweep
+    with session(asked.conf) as composer:
+        composer.only("evaluate --sweep" if sweep else "evaluate", asked.overrides)
+        cells: Sequence[Cell]
+        if sweep:
+            cells = composer.expand(asked.overrides, check=False)
+        else:
+            cells = [Cell(composer.compose(asked.overrides), (*asked.overrides,))]
         metrics = composer.every("metric")
     first = cells[0].config
-    out = out or Path("results") / _results_name(overrides, first, sweep)
+    settings = first.evaluate
+    out = asked.out or Path("results") / _results_name(asked.overrides, first, sweep)
     from quadexp.report import paper as papers
 
-    papers.check(first.evaluate.figures)
+    papers.check(settings.figures)
+    figures = asked.figures
     if figures is None:
         figures = sweep and brought("services", "sweep_figures") is not None
     drawn_by = service("sweep_figures", "--figures") if figures else None
@@ -131,45 +147,44 @@ def evaluate(
     if sweep and first.engine.kind == "local" and not (out / RESULTS).exists():
         start_server(preload)  # which imports these while the modules that follow are imported here
 
-    from quadexp.experiment.identity import edited_models, unused_model
     from quadexp.parts.options import given_folders
     from quadexp.report.metrics import declare_parts
     from quadexp.report.notes import invalid_text
     from quadexp.sweeps.engine import Workers
     from quadexp.sweeps.plan import too_few_seeds
-    from quadexp.sweeps.sweep import run_sweep
+    from quadexp.sweeps.sweep import SweepRequest, run_sweep
 
     declare_parts(metrics)
-    settings = first.evaluate
     if few := too_few_seeds(getattr(cells, "grids", ()), settings.baseline, settings.confidence):
         say(f"note: {few}")
-    watching = service("watch", "--watch")(out, settings.metric) if watch else None
-    shown = progress or (lambda below: contextlib.nullcontext(quiet))
-    with (
-        watching or contextlib.nullcontext(),
-        Workers(settings.workers, settings.memory or None, preload, calls=FIGURES if figures else 1) as processes,
-        drawn_by(out, processes if sweep else None, settings.metric, settings.confidence)
-        if drawn_by
-        else contextlib.nullcontext() as drawn,
-        shown((lambda: watching.snapshot().table().rich()) if watching else None) as counted,
-    ):
-        if watching:
-            say(f"watch it in a browser: {watching.path}")
-        result = run_sweep(
-            cells,
-            out,
+    drawn: Any = None
+    with contextlib.ExitStack() as ended:
+        watching: Any = None
+        if asked.watch:
+            watching = ended.enter_context(service("watch", "--watch")(out, settings.metric))
+        workers = Workers(settings.workers, settings.memory or None, preload, calls=FIGURES if figures else 1)
+        processes = ended.enter_context(workers)
+        if drawn_by:
+            figures_of = drawn_by(out, processes if sweep else None, settings.metric, settings.confidence)
+            drawn = ended.enter_context(figures_of)
+        counted = ended.enter_context(progress((lambda: watching.snapshot().table().rich()) if watching else None))
+        request = SweepRequest(
             metric=settings.metric,
             baseline=settings.baseline,
             confidence=settings.confidence,
             engine=first.engine.build(settings, processes),
-            force=force,
-            old=old,
+            force=asked.force,
+            old=asked.old,
             isolate=sweep,
-            progress=counted if watching is None else watching.before(counted),
-            on_result=watching.on_result if watching else lambda row: None,
-            flown=drawn.begin if drawn else lambda rows, record: None,
-            conf=given_folders(conf),
+            progress=counted,
+            conf=given_folders(asked.conf),
         )
+        if watching:
+            say(f"watch it in a browser: {watching.path}")
+            request = replace(request, progress=watching.before(counted), on_result=watching.on_result)
+        if drawn:
+            request = replace(request, flown=drawn.begin)
+        result = run_sweep(cells, out, request)
         files = result.files | (drawn.end() if drawn else {})
     paper = papers.paper(settings.figures)
     special = papers.write(paper, result.rows, out) if paper and figures and files else {}
@@ -179,23 +194,28 @@ def evaluate(
     if missing := result.not_flown:
         cause = f"{len(missing)} of {len(result.rows)} cells were not flown; the first: {missing[0]['cause']}"
         failed.append(cause)
-    flown = [cell.config for cell in cells]
-    doubts = [unused_model(flown), *edited_models(flown), *_doubts(sample), *result.notes]
-    notes = [note for note in doubts if note]
+    notes = [*_of_models([cell.config for cell in cells]), *_doubts(sample), *result.notes]
     invalid = invalid_text(result.rows) if result.invalid else ""
     return Swept(result, settings.metric, out, files | special, lines, notes, failed, invalid)
+
+
+def _of_models(flown: Sequence[Config]) -> list[str]:
+    """Notes on a model that is given and not flown, and on models that were edited after their fit."""
+    from quadexp.experiment.identity import edited_models, unused_model
+
+    return [note for note in (unused_model(flown), *edited_models(flown)) if note]
 
 
 def _doubts(cells: Sequence[Any]) -> list[str]:
     """What references of some cells are below the ground, and drag that their vehicles cannot have."""
     from quadexp.experiment.build import build_trajectory, build_vehicle
-    from quadexp.experiment.evaluate import below_ground, heavy_drag
+    from quadexp.experiment.evaluate import below_ground, ground_height, heavy_drag
 
     nodes: dict[Any, Config] = {}
     for config in (cell.config for cell in cells if not cell.invalid):
         if config.trajectory.shipped:  # which is a program of its own: built where it is flown
-            shared = (config.trajectory, config.ground, config.vehicle, config.plant)  # by cells that have the same
-            nodes.setdefault(tuple(map(id, shared)), config)
+            shared = (config.trajectory, config.vehicle, config.plant)  # by cells that have the same
+            nodes.setdefault((*map(id, shared), ground_height(config)), config)
     low = [below_ground(c, build_trajectory(c.trajectory, build_vehicle(c.vehicle))) for c in nodes.values()]
     lines = {line: None for line in (*low, *map(heavy_drag, nodes.values())) if line}
     return [*lines][:3]

@@ -15,7 +15,7 @@ from tests.house import PLUGIN_FLOORS, ROOT
 DELETED = frozenset(name for floor in PLUGIN_FLOORS for name in floor) - set(shipped_plugins())
 NAMED = re.compile(rf"quadexp[./]plugins[./]({'|'.join(sorted(DELETED))})\b")
 # What the program says, beside naming the module: of a service, a command, a name of the Python API.
-SAYS_SO = ("no installed plug-in", "No such command", "module 'quadexp' has no attribute")
+SAYS_SO = ("no installed plug-in", "No such command", "No such option", "module 'quadexp' has no attribute")
 
 
 def pytest_ignore_collect(collection_path: Path) -> bool | None:

@@ -23,7 +23,8 @@ from quadexp.log.store import read_flight, write_flight
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.models.dataset import residual_dataset
 from quadexp.parts.compose import compose
-from quadexp.plugins.gaussian_process.gaussian_process import GPConfig, fit_gp, gaussian_process_residual
+from quadexp.plugins.gaussian_process.gaussian_process import GPConfig, fit_gp
+from quadexp.plugins.gaussian_process.posterior import gaussian_process_residual
 from quadexp.report.tables import error_table
 from quadexp.world.simplified import PlantEffects, SimplifiedPlant
 from tests.composing import _from_nothing  # noqa: F401 - whose composer knows options that others composed
@@ -51,13 +52,13 @@ LANDMARKS = {
     "data set": ("physics.rigid_body.state_derivative",),
     "fit": ("plugins.gaussian_process.sgpr.loss",),
     "checkpoint": ("models.checkpoint.plain", "models.checkpoint.record_of"),
-    "air": ("plugins.gaussian_process.gaussian_process.gaussian_process_residual",),
+    "air": ("plugins.gaussian_process.posterior.gaussian_process_residual",),
     "step": ("control.mpc.mpc.stages_of", "control.mpc.node.linearise_function"),
     "row": ("report.metrics.flight_metrics",),
     "table": ("report.inference.mean_interval",),
 }
 CONFIGURING = 10  # modules from the words of the command line to the first period
-ENTERED = 61  # modules in which a line runs, of all, without imports; two are plug-ins' (margins, notes on commands)
+ENTERED = 63  # modules in which a line runs, of all, without imports; two are plug-ins' (margins, notes on commands)
 MOST = 22  # one of them the integrator that all plants share
 
 

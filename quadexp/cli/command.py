@@ -13,15 +13,18 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
 import typer
 
 from quadexp.cli.terminal import emit, fail, format_of, guarded, print_lines, print_rendered, print_table, say
-from quadexp.errors import QuadexpError
+from quadexp.errors import QuadexpError, UsageError
 from quadexp.messages import note
 from quadexp.parts.settings import Settings, declared
+from quadexp.plugin import brought, shipped_places
 
 
 class Ask(NamedTuple):
@@ -77,7 +80,8 @@ FORMAT = Ask("Print json, csv, markdown or latex instead of text.", "FORMAT", "-
 JSON = Ask("One JSON object on standard output.")
 
 
-class Command(NamedTuple):
+@dataclass(frozen=True)
+class Command:
     """A command. function: answers it. asked: of keys of its records that need more than their meaning says. heading:
     of the help, which its module states as HEADING."""
 
@@ -86,26 +90,37 @@ class Command(NamedTuple):
     asked: Mapping[str, Ask]
     heading: str
 
+    @cached_property
+    def alternatives(self) -> dict[str, Callable[..., Answer]]:
+        """What plug-ins have this command do instead, by the parameter that asks for it."""
+        prefix = f"{self.name} --"
+        keys = [key for key in shipped_places("alternatives") if key.startswith(prefix)]
+        return {key.removeprefix(prefix): brought("alternatives", key) for key in keys}
+
     def typed(self) -> Callable[..., None]:
-        """As a function that typer takes, whose signature has its words and options."""
-        hints = get_type_hints(self.function, include_extras=True)
-        parameters = []
+        """As a function that typer takes, whose signature has its words and options, and those of its alternatives."""
+        parameters: dict[str, inspect.Parameter] = {}
         records = {}
-        for name, parameter in inspect.signature(self.function).parameters.items():
-            hint = hints[name]
-            if isinstance(hint, type) and issubclass(hint, Settings):
-                records[name] = hint
-                keys = get_type_hints(hint)
-                for key, about in declared(hint).items():
-                    ask = self.asked.get(key, Ask(about.setting.meaning))
-                    parameters.append(_parameter(key, keys[key], ask, about.default))
-            elif hint is typer.Context:
-                parameters.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=hint))
-            elif name != "form":  # set from --format and --json
-                kind, ask = get_args(hint)
-                parameters.append(_parameter(name, kind, ask, parameter.default))
-        parameters += [_parameter("form", str | None, FORMAT, None), _parameter("json", bool, JSON, False)]
-        several = {each.name for each in parameters if "list[" in str(each.annotation)}
+        for function in (self.function, *self.alternatives.values()):
+            hints = get_type_hints(function, include_extras=True)
+            for name, parameter in inspect.signature(function).parameters.items():
+                hint = hints[name]
+                if name in parameters or name == "form":  # set from --format and --json
+                    continue
+                if isinstance(hint, type) and issubclass(hint, Settings):
+                    records[name] = hint
+                    keys = get_type_hints(hint)
+                    for key, about in declared(hint).items():
+                        ask = self.asked.get(key, Ask(about.setting.meaning))
+                        parameters[key] = _parameter(key, keys[key], ask, about.default)
+                elif hint is typer.Context:
+                    parameters[name] = inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=hint)
+                else:
+                    kind, ask = get_args(hint)
+                    parameters[name] = _parameter(name, kind, ask, parameter.default)
+        parameters["form"] = _parameter("form", str | None, FORMAT, None)
+        parameters["json"] = _parameter("json", bool, JSON, False)
+        several = {name for name, each in parameters.items() if "list[" in str(each.annotation)}
 
         def run(form: str | None, json: bool, **values: Any) -> None:
             from quadexp.parts.options import given_folders
@@ -117,14 +132,47 @@ class Command(NamedTuple):
                 given_folders(values.get("conf"))
                 for argument, record in records.items():
                     values[argument] = record(**{key: values.pop(key) for key in declared(record)})
-                answer = self.function(**values, **({"form": shown} if "form" in hints else {}))
-                _print(answer, shown, self.name)
+                _print(self._answer(values | {"form": shown}), shown, self.name)
 
         run.__name__ = self.name
-        run.__doc__ = inspect.getdoc(self.function)
-        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # which typer reads
-        run.__annotations__ = {each.name: each.annotation for each in parameters}
+        run.__doc__ = self._help()
+        run.__signature__ = inspect.Signature([*parameters.values()])  # type: ignore[attr-defined]  # which typer reads
+        run.__annotations__ = {name: each.annotation for name, each in parameters.items()}
         return run
+
+    def _answer(self, values: Mapping[str, Any]) -> Answer:
+        """The answer of the command, or of the alternative that is asked for. Raises UsageError where two are, or where
+        something is given that only another one takes."""
+        asked = [name for name in self.alternatives if values[name]]
+        if len(asked) > 1:
+            raise UsageError(f"{self.name}: {' and '.join(f'--{name}' for name in asked)}: one at a time")
+        function = self.alternatives[asked[0]] if asked else self.function
+        takes = inspect.signature(function).parameters
+        for name, value in values.items():
+            if value and name not in (*takes, "form"):
+                self._refuse(name, value, f"--{asked[0]}" if asked else "")
+        return function(**{name: values[name] for name in takes})
+
+    def _refuse(self, name: str, value: Any, asked: str) -> None:
+        """UsageError for a parameter that what was asked for does not take. asked: its option, "" for none."""
+        given = f"--{name}" if value is True else f"--{name} {value}"
+        if isinstance(value, tuple):
+            given = " ".join(map(str, value))
+        if asked and name in inspect.signature(self.function).parameters:
+            raise UsageError(f"{self.name}: {given}: is not used by {asked}; give that alone")
+        takes = [f"--{n}" for n, f in self.alternatives.items() if name in inspect.signature(f).parameters]
+        raise UsageError(f"{self.name}: {given}: is for {' or '.join(takes)}")
+
+    def _help(self) -> str:
+        """Of the command, with what its alternatives say; the examples of all stand at its end."""
+        texts = []
+        examples = []
+        for function in (self.function, *self.alternatives.values()):
+            text, _, example = (inspect.getdoc(function) or "").partition("\b\n")
+            texts.append(text.strip())
+            examples.append(example.strip())
+        shown = "\n".join(filter(None, examples))
+        return "\n\n".join([*texts, f"\b\n{shown}"] if shown else texts)
 
 
 def command(function: Callable[..., Answer], **asked: Ask) -> Command:

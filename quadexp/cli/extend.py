@@ -175,13 +175,16 @@ def check_name(part: str, name: str, template: Template, to: Path) -> None:
     from importlib.util import find_spec
 
     from quadexp.parts.models import is_shipped
-    from quadexp.parts.options import groups
+    from quadexp.parts.options import LACKING, groups
+    from quadexp.parts.schema import lacks_plugin
 
     if not NAME.fullmatch(name) or keyword.iskeyword(name) or keyword.issoftkeyword(name):
         raise UsageError(f"new {part}: {name!r} is not a valid name of a module: a letter, then letters, digits or _")
     if name.lower() in WORDS:
         raise UsageError(f"new {part}: {name!r} means something else in YAML, on the command line or to pytest")
     group, option = template.named(name)
+    if lacks_plugin(group):
+        raise UsageError(f"new {part}: {group}: {LACKING}")
     for where, there in ((group, option), *([("model", name)] if template.model else [])):
         if there in groups().get(where, ()):
             raise UsageError(f"new {part}: there is {where}={there} already: choose another name")

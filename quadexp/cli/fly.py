@@ -62,10 +62,11 @@ def evaluate(
     if watch and not sweep:
         raise UsageError("--watch is for a sweep: add --sweep")
     old: Literal["ask", "refly"] = "refly" if refly else "ask"
-    swept = requests.evaluate(
-        overrides, out, conf, sweep=sweep, figures=figures, old="keep" if keep_old else old,
-        force=force, watch=watch, progress=lambda below: Progress("flights", below), say=say,
+    asked = requests.Evaluation(
+        overrides=overrides, out=out, conf=conf, sweep=sweep, figures=figures, old="keep" if keep_old else old,
+        force=force, watch=watch,
     )  # fmt: skip
+    swept = requests.evaluate(asked, lambda below: Progress("flights", below), say)
     result = swept.result
     metric = swept.metric
     record = {

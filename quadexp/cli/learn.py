@@ -114,5 +114,4 @@ def fit_spelling(word: str) -> Command:
     return command(fit_word)
 
 
-fit_gp = fit_spelling("gp")
 fit_drag = fit_spelling("drag")

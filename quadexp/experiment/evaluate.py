@@ -34,13 +34,14 @@ from quadexp.experiment.identity import (
 from quadexp.log.runs import longest
 from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
-from quadexp.parts.schema import Config, controller_name
+from quadexp.parts.schema import Config, controller_name, world_parts
 from quadexp.parts.settings import record
 from quadexp.physics.state import ATTITUDE, POSITION, STATE_COLUMNS, finite_rows
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugin import brought, service
 from quadexp.provenance import libraries, provenance, sources, versions
 from quadexp.report.metrics import flight_metrics
+from quadexp.world.effect import Effect
 
 LONGEST = 4 * 3600.0  # s of a flight
 MOST_DRAG = 0.5  # of the weight, at 1 m/s
@@ -143,10 +144,15 @@ def _check_finite(config: Config, trajectory: Any) -> None:
     )
 
 
+def ground_height(config: Config) -> float:
+    """Of the ground that a part of the world knows, world (m); without one the plane z = 0 is meant."""
+    effects = [part for part in world_parts(config).values() if isinstance(part, Effect)]
+    return next((effect.ground_height for effect in effects if effect.ground_height is not None), 0.0)
+
+
 def below_ground(config: Config, trajectory: Any) -> str:
-    """Where a reference is below the ground, in one line, "" if nowhere. Only ground effect knows a ground: without it
-    the plane z = 0 is meant, and nothing stops a vehicle there."""
-    ground = getattr(config.ground, "height", 0.0)
+    """Where a reference is below the ground, in one line, "" if nowhere; nothing stops a vehicle there."""
+    ground = ground_height(config)
     t = np.linspace(0.0, trajectory.duration, max(2, math.ceil(trajectory.duration / CHECK_STEP) + 1))
     z = trajectory.flat_output(t).position[:, 0, 2]
     lowest = int(np.argmin(z))
@@ -227,7 +233,7 @@ def fly_one(
     trajectory = build_trajectory(config.trajectory, vehicle)
     known = config.trajectory.shipped
     path_digest = digest([part_identity("trajectory", config.trajectory), vehicle.fingerprint]) if known else ""
-    beside = [vehicle.name, config.plant.recorded(), getattr(config.ground, "height", 0.0)]  # what a note names too
+    beside = [vehicle.name, config.plant.recorded(), ground_height(config)]  # what a note names too
 
     def check() -> str:
         return check_feasible(config, trajectory, vehicle)

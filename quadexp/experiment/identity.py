@@ -48,8 +48,6 @@ from quadexp.provenance import (
 
 # Groups that determine one flight, together with the world, the remedies, model and seed.
 FLIGHT_GROUPS = ("vehicle", "plant", "sensor", "trajectory", "controller")
-# Keys that plants of some kinds had, and the values that flights of today stand for: hashes and noise stay.
-FORMER_KEYS = {"simplified": {"payload": 0.0}, "blade_element": {"payload": 0.0}}
 MODEL_FILE = "model.json"
 FITTING = (f"{OWN}.experiment.collect", f"{OWN}.experiment.fit")  # make a model of flights, with these services
 FITTING_SERVICES = ("rotor_thrust", "timing_of_recorded")
@@ -75,7 +73,7 @@ def flying_parts(config: Config) -> dict[str, Part]:
 def flight_record(config: Config, parts: Mapping[str, Part] | None = None) -> dict[str, Any]:
     """The part of a configuration that determines one flight, as a dictionary. parts: see flying_parts."""
     nodes = {group: part.recorded() for group, part in (parts or flying_parts(config)).items()}
-    nodes["plant"] |= FORMER_KEYS.get(nodes["plant"].get("kind", ""), {})
+    nodes["plant"] |= config.plant.former_keys
     return {**nodes, "model": config.model, "seed": config.seed}
 
 

@@ -139,11 +139,10 @@ class SampledReference:
 
     def along(self) -> tuple[np.ndarray, np.ndarray]:
         """States (k, 13) and inputs (k, n) at the control instants."""
-        where = self._now
-        return self.reference.state[where], self.reference.input[where]
+        return self.at(slice(None))
 
-    def at(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """State (13,) and input (n,) at control instant k."""
+    def at(self, k: int | slice) -> tuple[np.ndarray, np.ndarray]:
+        """State (13,) and input (n,) at control instant k; (j, 13) and (j, n) at several."""
         where = self._now[k]
         return self.reference.state[where], self.reference.input[where]
 
@@ -214,19 +213,12 @@ def fly(
                 renewal.renew(k, reference, controller.residual)
             state_reference, input_reference = reference.at(k)
             shares[k] = reference.residual_share
-            error = x[POSITION] - state_reference[POSITION]
-            distance = math.sqrt(error.dot(error))
-            if math.isnan(distance):
+            why = _too_far(x[POSITION], state_reference[POSITION], lost_distance)
+            if not why and box is not None and not (box[0] <= x[POSITION]).all() & (x[POSITION] <= box[1]).all():
+                why = f"{lost_box:g} m outside the box of the reference"
+            if why:
                 outcome = "lost"
-                cause = f"the plant's state is not finite at t={t:.2f} s"
-                break
-            if distance > lost_distance:
-                outcome = "lost"
-                cause = f"{distance:.1f} m from the reference at t={t:.2f} s"
-                break
-            if box is not None and not (box[0] <= x[POSITION]).all() & (x[POSITION] <= box[1]).all():
-                outcome = "lost"
-                cause = f"{lost_box:g} m outside the box of the reference at t={t:.2f} s"
+                cause = f"{why} at t={t:.2f} s"
                 break
             try:
                 asked = gate.admit(Measurement(t, measured_state, measured, speed)), reference.window(k)
@@ -237,8 +229,10 @@ def fly(
             began = time.perf_counter()
             u, record = stepped(controller, *asked)
             took = time.perf_counter() - began
-            row = (x, u, state_reference, input_reference, reading, inner.values(), measured_state)
-            log.add(*row, record, took, controller.log())
+            log.add(
+                record, took, controller.log(), state=x, input=u, reading=reading, inner=inner.values(),
+                estimate=measured_state, state_reference=state_reference, input_reference=input_reference,
+            )  # fmt: skip
             if in_c and compiled is None:  # when all that logs has said what
                 log.state_reference[:], log.input_reference[:] = along = reference.along()
                 arrays = (reference.horizons(), along[0], reference.path(), log.arrays())
@@ -274,17 +268,23 @@ def fly(
     if outcome == "ok" and away.max() > width:
         at = int(away.argmax())
         outcome = "left_corridor"
-        cause = (
-            f"{away[at]:.3g} m from the reference at t={reference.t[at]:.2f} s, beyond its corridor of {width:.3g} m,"
-        )
-        cause += f" {CORRIDOR:g} sizes of the vehicle"
+        cause = f"{away[at]:.3g} m from the reference at t={reference.t[at]:.2f} s, beyond its corridor of"
+        cause += f" {width:.3g} m, {CORRIDOR:g} sizes of the vehicle"
     share = float(np.mean(shares[: k + 1]))  # it may change where references are recomputed in flight
     details: dict[str, Any] = {"outcome": outcome, "cause": cause, "corridor": width, "backend": controller.backend}
-    details["free_heading"] = reference.free_heading
-    details["reference_residual"] = None if math.isnan(share) else share
+    details |= {"free_heading": reference.free_heading, "reference_residual": None if math.isnan(share) else share}
     if renewal.failed:
         details["stale_references"] = renewal.failed
     return Flight(log.columns(reference.t, inner.names), {**(metadata or {}), **details})
+
+
+def _too_far(position: np.ndarray, wanted: np.ndarray, lost_distance: float) -> str:
+    """Why a vehicle at a position (3,) is too far from where it should be, "" where it is not."""
+    error = position - wanted
+    distance = math.sqrt(error.dot(error))
+    if math.isnan(distance):
+        return "the plant's state is not finite"
+    return f"{distance:.1f} m from the reference" if distance > lost_distance else ""
 
 
 class Renewal:
@@ -323,14 +323,14 @@ class _Inner:
     def __init__(self, plant: Plant, period: float) -> None:
         self._plant = plant
         self._attributes = [name for name in INNER_STATES if hasattr(plant, name)]
-        sizes = [] if isinstance(plant, World) else [(name, len(getattr(plant, name))) for name in self._attributes]
-        self.names = [f"{name}_{j}" for name, size in sizes for j in range(size)]
         self.places: np.ndarray | None = None
         if isinstance(plant, World):
             columns = plant.columns(period)
             self.names = [*columns]
             self.places = np.array([*columns.values()], np.int64)
-        elif isinstance(plant, SimulatedPlant) and [*plant.inner_columns] == self.names:
+            return
+        self.names = [f"{name}_{j}" for name in self._attributes for j in range(len(getattr(plant, name)))]
+        if isinstance(plant, SimulatedPlant) and [*plant.inner_columns] == self.names:
             self.places = np.arange(len(self.names))
 
     def values(self) -> np.ndarray:
@@ -358,35 +358,19 @@ class _Log:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What flight.c fills."""
-        return {
-            name: getattr(self, name) for name in ("state", "input", "reading", "inner", "record", "estimate", "extra")
-        }
+        filled = ("state", "input", "reading", "inner", "record", "estimate", "extra")
+        return {name: getattr(self, name) for name in filled}
 
-    def add(
-        self,
-        x: np.ndarray,
-        u: np.ndarray,
-        state_reference: np.ndarray,
-        input_reference: np.ndarray,
-        reading: np.ndarray,
-        inner: np.ndarray,
-        estimate: np.ndarray,
-        record: StepRecord,
-        took: float,
-        extra: dict[str, float],
-    ) -> None:
+    def add(self, record: StepRecord, took: float, extra: dict[str, float], **sample: np.ndarray) -> None:
+        """Another sample. took: s, with all that is around the MPC. sample: values by the names of their arrays."""
         k = self.rows
         self.rows = self.rows + 1
-        self.state[k] = x
-        self.input[k] = u
-        self.reading[k] = reading
+        for name, values in sample.items():
+            samples = getattr(self, name)
+            if len(samples):  # no estimates where the controller is given the true state
+                samples[k] = values
         self.record[k] = record
-        self.record[k, 0] = took  # with all that is around the MPC
-        self.state_reference[k] = state_reference
-        self.input_reference[k] = input_reference
-        self.inner[k] = inner
-        if len(self.estimate):
-            self.estimate[k] = estimate
+        self.record[k, 0] = took
         if not k:
             self.extra_names = [*extra]
             self.extra = np.empty((len(self.extra), len(extra)))

@@ -41,7 +41,7 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.errors import DataError, UsageError
-from quadexp.log.schema import Flight
+from quadexp.log.schema import Flight, n_inputs
 from quadexp.log.store import read_table
 from quadexp.models.residual import AXES, OUTPUTS, THRUST
 from quadexp.names import named
@@ -105,7 +105,7 @@ class ResidualDataset(NamedTuple):
     @property
     def rotor_thrusts(self) -> np.ndarray:
         """u_0, u_1, ... of the rows, (k, n) (N)."""
-        return self.matrix(sorted((name for name in self.columns if name.startswith("u_")), key=lambda u: int(u[2:])))
+        return self.matrix(input_columns(n_inputs(self.columns)))
 
     @property
     def sha256(self) -> str:
@@ -150,6 +150,10 @@ def transitions(
 
     if frame not in ("midpoint", "start"):
         raise UsageError(f"collect.frame: '{frame}' is neither midpoint nor start")
+
+    def of_frame(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        return first if frame == "start" else (first + second) / 2
+
     inputs = input_columns(vehicle.n_rotors)
     t = _read(flight, ("t",))[:, 0]
     state = _read(flight, STATE_COLUMNS)
@@ -166,11 +170,10 @@ def transitions(
     after[:, ATTITUDE] *= np.where(np.sum(before[:, ATTITUDE] * after[:, ATTITUDE], axis=1) < 0, -1.0, 1.0)[:, None]
 
     predicted = _predict(vehicle, before, u, dt)
-    point = before if frame == "start" else (before + after) / 2
+    point = of_frame(before, after)
     to_body = Rotation.from_quat(point[:, ATTITUDE], scalar_first=True).as_matrix() if len(k) else np.empty((0, 3, 3))
     air = np.zeros((len(t), 3)) if flight.wind is None else _read(flight, WIND)
-    wind = air[k] if frame == "start" else (air[k] + air[k + 1]) / 2
-    velocity = air_velocity(point[:, ATTITUDE], point[:, VELOCITY], wind)
+    velocity = air_velocity(point[:, ATTITUDE], point[:, VELOCITY], of_frame(air[k], air[k + 1]))
     gap = (after - predicted) / dt[:, None]
     acceleration = np.einsum("kij,ki->kj", to_body, gap[:, VELOCITY])
     torque = gap[:, RATE] @ vehicle.inertia_matrix

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, overload
 
 from quadexp.errors import ForbiddenValueError, UsageError
+from quadexp.parts.override import ITEM, Override, in_grammar
 from quadexp.parts.schema import PRESETS, REMEDIES, WORLD, Config, controller_name
 from quadexp.parts.settings import Settings, canonical_text, flat, read_value, record
 from quadexp.progress import set_status
@@ -25,6 +26,7 @@ SCOPES: tuple[tuple[Sequence[str], Callable[[Config], tuple[Any, ...]]], ...] = 
 )  # fmt: skip
 # Keys that columns name, but for a sensor that is only an accelerometer.
 COLUMNS = {"model", "seed", "experiment", "trajectory.speed", *(x for groups, _ in SCOPES for x in groups)} - {"sensor"}
+EACH = "each"  # of a grid under an experiment's `sweep:`, see written_out
 OPTION = "option"  # GROUP.option: which option of a group was chosen, where its name does not say
 
 Grid = tuple[tuple[str, ...], ...]  # for every key its overrides; the cells are their product, the last varies fastest
@@ -216,3 +218,35 @@ class _Settings:
 
 def _key(override: str) -> str:
     return override.partition("=")[0]
+
+
+# -------------------------------------------------------------------------------------------------------------- grids
+def written_out(grids: Any, experiment: str) -> Iterator[dict[str, Any]]:
+    """The grids of an experiment's `sweep:`, a mapping or a list of them; one with a list under `each` stands for as
+    many: what else it has, with each of these, which may have such lists themselves."""
+    for grid in grids if isinstance(grids, list) else [grids]:
+        if not isinstance(grid, dict):
+            raise UsageError(f"experiment={experiment}: `sweep:` must be a mapping {{key: values}}, or a list of them")
+        common = {key: values for key, values in grid.items() if key != EACH}
+        within = written_out(grid[EACH], experiment) if EACH in grid else [{}]
+        yield from (common | inner for inner in within)
+
+
+def product(overrides: Sequence[Override]) -> Grid:
+    """The values of every key, as overrides; of a key that is given twice the last counts."""
+    grid: dict[str, tuple[str, ...]] = {}
+    for override in overrides:
+        key = override.key
+        sweep = override.sweep
+        grid[key] = (override.text,) if sweep is None else tuple(f"{key}={value}" for value in sweep)
+    return tuple(grid.values())
+
+
+def as_override(key: str, value: Any) -> str:
+    """What an experiment's `sweep:` says of a key as an override: a text as on the command line, a list several
+    values, of which a text is one value whatever its commas."""
+    if isinstance(value, str):
+        return f"{key}={value}"
+    values = value if isinstance(value, (list, tuple)) else [value]
+    texts = (item if isinstance(item, str) and ITEM.fullmatch(item) else in_grammar(key, item) for item in values)
+    return f"{key}={','.join(texts)}"

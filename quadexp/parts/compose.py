@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -18,21 +17,19 @@ from quadexp.errors import UsageError
 from quadexp.messages import ending_in, suggestion
 from quadexp.names import SPELLINGS, is_name
 from quadexp.parts.cells import Cell as Cell
-from quadexp.parts.cells import Cells, Grid, iterate_validated
+from quadexp.parts.cells import Cells, as_override, iterate_validated, product, written_out
 from quadexp.parts.models import GROUP, check_named, kind_of, spelled
-from quadexp.parts.options import GLOBAL, REFERENCE, REFERENCES, Folders, OptionFiles, given_folders, merge, nested
-from quadexp.parts.override import GROUPS, ITEM, MOST_CELLS, Override, OverrideReader, alternatives, in_grammar
+from quadexp.parts.options import GLOBAL, LACKING, Folders, OptionFiles, given_folders, merge, nested
+from quadexp.parts.override import GROUPS, MOST_CELLS, Override, OverrideReader, alternatives
 from quadexp.parts.part import TARGET, part_class
 from quadexp.parts.reads import is_read, refuse_idle, refuse_unread, refuse_without_effect
-from quadexp.parts.schema import BUNDLES, CHOSEN, CLASSES, PRESETS, WORLD, Config, world_name
+from quadexp.parts.references import References
+from quadexp.parts.schema import BUNDLES, CHOSEN, CLASSES, PRESETS, WORLD, Config, lacks_plugin, world_name
 from quadexp.parts.settings import declared, made, plain
 from quadexp.parts.timing import with_timing
 from quadexp.parts.user_modules import import_from, own_folders
 
 KEPT = 50_000  # made nodes that are remembered at most
-EACH = "each"  # of a grid under an experiment's `sweep:`, see _written_out
-MOST_STEPS = 16  # from reference to reference
-MOST_LETTERS = 1000  # of what a reference stands for
 NAMING = ("controller", "evaluate")  # nodes with settings that name options
 _ROOT = plain(Config)
 
@@ -140,7 +137,7 @@ class Composer:
         check: compose all of them before any is returned, see `iterate_validated`. They are composed again when they
         are asked for, and a sweep asks for all before it flies the first, so it need not.
         """
-        cells = Cells([_product(grid) for grid in self._grids(overrides)], self._cell_config)
+        cells = Cells([product(grid) for grid in self._grids(overrides)], self._cell_config)
         if len(cells) > MOST_CELLS:
             raise UsageError(
                 f"{len(cells)} combinations; a sweep has at most {MOST_CELLS}: split it, each part with its own --out"
@@ -171,9 +168,9 @@ class Composer:
         for name in names:
             choice = self._overrides.read([f"experiment={name}"])
             sweep = self._compose(choice).sweep
-            for grid in _written_out(sweep or {}, str(name)):
+            for grid in written_out(sweep or {}, str(name)):
                 # The mapping's order is kept: what stands first varies slowest.
-                texts = [_as_override(key, value) for key, value in grid.items() if key not in stated]
+                texts = [as_override(key, value) for key, value in grid.items() if key not in stated]
                 yield choice + self._overrides.read(texts, sweep=True) + rest
 
     def _compose(self, parsed: Sequence[Override]) -> Config:
@@ -192,10 +189,8 @@ class Composer:
         for override in values:
             refuse_idle(config, override.key, override.text)
         if tree["timing"].source != ("timing=none",) or any(override.node == "timing" for override in values):
-            motors = [option for option in tree["controller"].source if option.startswith("motor=")]
-            config = with_timing(
-                config, {override.key for override in values}, motors[-1].partition("=")[2] if motors else ""
-            )
+            options = dict(option.split("=", 1) for option in tree["controller"].source)
+            config = with_timing(config, {override.key for override in values}, options.get("motor", ""))
         config = replace(config, world=self._world_name(config, chosen, values))
         if not is_name(config.world):
             raise UsageError(f"world={config.world!r}: its name must be one printable line")
@@ -220,6 +215,8 @@ class Composer:
         if choice not in self._trees:
             layers = self._layers({override.key: override.value for override in chosen})
             for name in layers:
+                if lacks_plugin(name):
+                    raise UsageError(f"{layers[name][0].option}: sets {name}: {LACKING}")
                 if name not in _ROOT:
                     raise UsageError(f"{layers[name][0].option}: {name}: no such key{suggestion(name, list(_ROOT))}")
             self._trees[choice] = {name: self._node(name, layers.get(name, [])) for name in _ROOT}
@@ -281,13 +278,13 @@ class Composer:
         if len(self._made) > KEPT:
             self._made.clear()
         nodes: dict[str, Any] = {}
-        known: dict[str, Any] = {}
+        references = References(_ROOT, content)
         for name, node in tree.items():
             key = (name, node.source, *(override.text for override in of_node.get(name, ())))
             if key not in self._made:
                 whole = content(name)
                 refers = "${" in str(whole)
-                whole = _resolved(whole, name, content, known) if refers else whole
+                whole = references.resolved(whole, name) if refers else whole
                 nodes[name] = whole if node.schema is None else made(node.schema, whole, f"{name}.")
                 if name in NAMING:
                     check_named(nodes[name])
@@ -340,6 +337,8 @@ def check_key(content: Any, key: str, files: OptionFiles) -> None:
     """UsageError where the content has no such key. files: the options, those that are not chosen too."""
     root = content
     parts = key.split(".")
+    if lacks_plugin(parts[0]):
+        raise UsageError(f"{key}: {LACKING}")
     for i, part in enumerate(parts):
         if isinstance(content, dict) and part in content:
             content = content[part]
@@ -377,76 +376,6 @@ def _set(content: Any, name: str, values: Sequence[Override]) -> Any:
     for override in values:
         merge(whole, nested(override.key, override.value))
     return whole[name]
-
-
-def _resolved(
-    value: Any, at: str, content: Callable[[str], Any], known: dict[str, Any], way: tuple[str, ...] = ()
-) -> Any:
-    """The value with its references, such as ${seed}, replaced.
-
-    at: its key. content: the content of a node by name. known: what keys stand for, as far as it was asked. way: the
-    keys that led here.
-    """
-    if isinstance(value, dict):
-        return {key: _resolved(item, f"{at}.{key}", content, known, way) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_resolved(item, at, content, known, way) for item in value]
-    if not isinstance(value, str) or "${" not in value:
-        return value
-
-    def referred(match: re.Match[str]) -> Any:
-        key = match[1]
-        if key in way or len(way) > MOST_STEPS:
-            raise UsageError(f"{at}: refers to what cannot be read; {REFERENCES}")
-        if key not in known:
-            name, *rest = key.split(".")
-            value = content(name) if name in _ROOT else None
-            for part in rest if name in _ROOT else [key]:
-                if not isinstance(value, dict) or part not in value:
-                    raise UsageError(f"{at}: refers to a name that does not exist; {REFERENCES}")
-                value = value[part]
-            known[key] = _resolved(value, key, content, known, (*way, key))
-        if len(str(known[key])) > MOST_LETTERS:
-            raise UsageError(f"{at}: refers to {key}, which is too long to be referred to")
-        return known[key]
-
-    if alone := REFERENCE.fullmatch(value):
-        return referred(alone)
-    if "${" in REFERENCE.sub("", value):
-        raise UsageError(f"{at}: refers to what cannot be read; {REFERENCES}")
-    return REFERENCE.sub(lambda match: str(referred(match)), value)
-
-
-# ------------------------------------------------------------------------------------------------------------- sweeps
-def _written_out(grids: Any, experiment: str) -> Iterator[dict[str, Any]]:
-    """The grids of an experiment's `sweep:`, a mapping or a list of them; one with a list under `each` stands for as
-    many: what else it has, with each of these, which may have such lists themselves."""
-    for grid in grids if isinstance(grids, list) else [grids]:
-        if not isinstance(grid, dict):
-            raise UsageError(f"experiment={experiment}: `sweep:` must be a mapping {{key: values}}, or a list of them")
-        common = {key: values for key, values in grid.items() if key != EACH}
-        within = _written_out(grid[EACH], experiment) if EACH in grid else [{}]
-        yield from (common | inner for inner in within)
-
-
-def _product(overrides: Sequence[Override]) -> Grid:
-    """The values of every key, as overrides; of a key that is given twice the last counts."""
-    grid: dict[str, tuple[str, ...]] = {}
-    for override in overrides:
-        key = override.key
-        sweep = override.sweep
-        grid[key] = (override.text,) if sweep is None else tuple(f"{key}={value}" for value in sweep)
-    return tuple(grid.values())
-
-
-def _as_override(key: str, value: Any) -> str:
-    """What an experiment's `sweep:` says of a key as an override: a text as on the command line, a list several
-    values, of which a text is one value whatever its commas."""
-    if isinstance(value, str):
-        return f"{key}={value}"
-    values = value if isinstance(value, (list, tuple)) else [value]
-    texts = (item if isinstance(item, str) and ITEM.fullmatch(item) else in_grammar(key, item) for item in values)
-    return f"{key}={','.join(texts)}"
 
 
 # ----------------------------------------------------------------------------------------------------------- sessions

@@ -11,9 +11,10 @@ from importlib.machinery import ModuleSpec
 from typing import Any
 
 from quadexp.messages import note
+from quadexp.plugin import shipped_places
 
-# Groups of the configuration. Hashes of flights have the old ones, so that stored cells keep their keys.
-GROUPS = {"inner": "rate_loop"}
+# Groups of the configuration, as plug-ins say. Hashes have the old names, so that stored cells keep their keys.
+GROUPS = {old: group for group, words in shipped_places("groups").items() for old in words.split()[2:]}
 MODULES = {
     "quadexp.control.instant": "quadexp.control.control_step",
     "quadexp.world.ground": "quadexp.plugins.worlds.ground",
@@ -30,7 +31,7 @@ NAMES = {
     "quadexp.world.effect": {"Told": "quadexp.world.effect:Measured"},
 }
 ATTRIBUTES = {"controller": {"name": "residual_name"}}  # of what a user's part makes, by seam
-_BROUGHT = re.compile(rf"(?<= )({'|'.join(GROUPS)})(?=[.=])")  # a setting behind an option
+_BROUGHT = re.compile(r"(?<= )(\w+)(?=[.=])")  # a setting behind an option
 
 
 @cache

@@ -19,10 +19,6 @@ or an entry of an option file, options/SHEET.yaml, which holds several, by group
 rest is what a file would state. `crazyflie` reads values from an installed package (plug-in exchange). Of a bundle
 (world, remedies) a key that names a group chooses its option, and GROUP.KEY sets a value. A part of a world whose
 values are set so is an option too: truth=heavy.
-
-A folder may come from anybody. So a file that is none (a pipe, a device) is not opened to be waited for; aliases of
-YAML (&a, *a) stand for a bounded number of values, and nothing is nested without end; `${KEY}` names a key of the
-configuration, and no resolver of a library (`${oc.env:HOME}`) is ever asked.
 """
 
 from __future__ import annotations
@@ -30,11 +26,8 @@ from __future__ import annotations
 import contextlib
 import copy
 import functools
-import math
 import os
-import re
-import stat
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -44,9 +37,10 @@ from quadexp.messages import MOST_NAMED, ending_in, note
 from quadexp.names import without
 from quadexp.parts.former import group_of
 from quadexp.parts.part import TARGET, Part, part_class
-from quadexp.parts.schema import BUNDLES, CHOSEN, CLASSES, PRESETS, WORLD, conf_folder
+from quadexp.parts.schema import BUNDLES, CHOSEN, CLASSES, PRESETS, WORLD, conf_folder, lacks_plugin
 from quadexp.parts.settings import declared
 from quadexp.parts.user_modules import import_from, plugin_folders
+from quadexp.parts.yaml_files import Spelled, read_mapping
 from quadexp.plugin import service
 from quadexp.provenance import content_hash
 
@@ -59,14 +53,7 @@ CITE = "cite"  # key of an option that names its papers: of conf/references.bib,
 GLOBAL = ("experiment", *BUNDLES)  # groups whose options set values of the whole configuration
 Place = str | os.PathLike[str]
 Folders = Place | Iterable[Place] | None  # of a user's own, as given with --conf; the first comes first
-MOST_BYTES = 1_000_000  # of a file
-MOST_VALUES = 20_000  # of a file, every alias counted as what it stands for
-DEEPEST = 40  # mappings and lists within each other
-REFERENCE = re.compile(r"\$\{([A-Za-z_]\w*(?:\.\w+)*)\}")
-REFERENCES = (
-    "a reference is ${KEY} with a key of the configuration, such as ${seed} or ${trajectory.speed}, and none that leads"
-    " back to itself"
-)
+LACKING = "no installed plug-in has this group (quadexp/plugins)"
 
 
 class Entry(NamedTuple):
@@ -142,7 +129,8 @@ class OptionFiles:
             ]
             stated += [(name, entry.option_file, entry) for name, entry in entries(folder).items()]
             for name, path, entry in stated:
-                self.definitions.setdefault(name, []).append(Definition(place, path, entry))
+                if not lacks_plugin(name.partition("/")[0]):
+                    self.definitions.setdefault(name, []).append(Definition(place, path, entry))
         self.entries = {name: first.entry for name, (first, *_) in self.definitions.items() if first.entry}
         self.groups: dict[str, list[str]] = {}
         for name in sorted(self.definitions):
@@ -233,7 +221,7 @@ class OptionFiles:
                 merge(values, stated)
             elif isinstance(entry, Mapping) and group in GLOBAL:
                 chosen |= self._choices(path, entry)
-            elif not isinstance(entry, (str, _Spelled)):
+            elif not isinstance(entry, (str, Spelled)):
                 raise UsageError(f"{path}: defaults: {text}: an option extends others of its group, by their names")
             else:
                 extended = self._read_option(group, text.removesuffix(".yaml"), (*extending, definition))
@@ -246,6 +234,10 @@ class OptionFiles:
         choices = {}
         for key, option in entry.items():
             group = group_of(str(key).removeprefix("override ").strip().lstrip("/"))
+            if lacks_plugin(group):
+                if option == "none":
+                    continue
+                raise UsageError(f"{path}: {group}={option}: {LACKING}")
             if group not in CHOSEN:
                 raise UsageError(f"{path}: defaults: {key}: must be `override /GROUP`, of {', '.join(CHOSEN)}")
             name = self.named(group, option)
@@ -322,6 +314,8 @@ def _entries_of(option_file: Path, hashed: str) -> dict[str, Entry]:
     options: dict[str, Entry] = {}
     groups = (*CLASSES, *PRESETS, *BUNDLES)
     for group, stated in read_mapping(option_file).items():
+        if lacks_plugin(group):
+            continue
         if group not in groups or not isinstance(stated, Mapping):
             raise UsageError(
                 f"{option_file}: {group}: must be a group that holds options; groups are {', '.join(groups)}"
@@ -351,98 +345,3 @@ def _contents(group: str, option: str, values: dict[str, Any], extended: Any) ->
         chosen[part] = option
     overrides = [{f"override /{part}": chosen[part]} for part in chosen]
     return {**contents, f"{group}/{option}": {"defaults": [*defaults, *overrides, "_self_"], **nodes}}
-
-
-# -------------------------------------------------------------------------------------------------------- plain data
-def read_mapping(path: Path) -> dict[str, Any]:
-    """What a file of configuration states. UsageError where it is more than data, or no mapping."""
-    import yaml
-
-    try:
-        content = read_data(path) or {}
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        reason = getattr(error, "problem", None) or str(error).splitlines()[0]
-        raise UsageError(f"{path}{place}: not valid YAML: {reason}") from None
-    if wrong := re.search(r"\$\{[^}]{,60}\}?", REFERENCE.sub("", str(content))):
-        raise UsageError(f"{path}: {wrong[0]}: {REFERENCES}")
-    if not isinstance(content, dict) or not isinstance(content.get("defaults") or [], list):
-        raise UsageError(f"{path}: must be a mapping {{key: value}}, and `defaults` a list")
-    return content
-
-
-def read_data(path: Path) -> Any:
-    """What a file of YAML says. UsageError where it is more than data; YAMLError, UnicodeDecodeError, OSError."""
-    import yaml
-
-    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError(f"{path}: is no regular file")
-        content = file.read(MOST_BYTES + 1)
-    if len(content) > MOST_BYTES:
-        raise UsageError(f"{path}: is larger than {MOST_BYTES / 1e6:g} MB, which no file of settings is")
-    text = content.decode("utf-8")
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    refusal = UsageError(f"{path}: more than {MOST_VALUES} values with their aliases, or {DEEPEST} levels")
-    if not path.is_relative_to(conf_folder()):  # whose own files are what they are
-        loader = _spelling(loader)
-        level = 0
-        for event in yaml.parse(text, Loader=loader):  # the loader itself would end in a crash
-            level += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-            if level > DEEPEST:
-                raise refusal
-    data = yaml.load(text, Loader=loader)
-    if any(count > MOST_VALUES or level > DEEPEST for count, level in enumerate(_levels(data))):
-        raise refusal
-    return data
-
-
-class _Spelled:
-    """A number of a file, which as a text is what was written: 2024_01 or 1.10 may be meant as a name."""
-
-    spelling = ""
-
-    def __repr__(self) -> str:
-        return self.spelling
-
-
-class _Whole(_Spelled, int):
-    pass
-
-
-class _Real(_Spelled, float):
-    pass
-
-
-@functools.cache
-def _spelling(plain: Any) -> Any:
-    """A loader of YAML whose numbers keep their spelling; 12:30, `no` and dates are texts, as in YAML 1.2."""
-
-    class Loader(plain):
-        pass
-
-    def number(loader: Any, node: Any) -> Any:
-        if ":" in node.value:
-            return node.value
-        value = getattr(loader, f"construct_yaml_{node.tag.rpartition(':')[2]}")(node)
-        if str(value) == node.value or not math.isfinite(value):
-            return value
-        number_value = (_Whole if isinstance(value, int) else _Real)(value)
-        number_value.spelling = node.value
-        return number_value
-
-    def word(loader: Any, node: Any) -> Any:
-        return {"true": True, "false": False}.get(node.value.lower(), node.value)
-
-    for tag, constructor in (("int", number), ("float", number), ("bool", word), ("timestamp", word)):
-        Loader.add_constructor(f"tag:yaml.org,2002:{tag}", constructor)
-    return Loader
-
-
-def _levels(value: Any, level: int = 0) -> Iterator[int]:
-    """How deep each value lies, what aliases stand for too; without end where a value lies within itself."""
-    yield level
-    if isinstance(value, (dict, list)) and level <= DEEPEST:
-        for item in value.values() if isinstance(value, dict) else value:
-            yield from _levels(item, level + 1)

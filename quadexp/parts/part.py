@@ -20,6 +20,7 @@ from __future__ import annotations
 import functools
 import inspect
 import pickle
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, ClassVar, Self
 
@@ -38,11 +39,15 @@ class Part(Settings):
     """Base of what an option stands for. name: what tables and figures call it; that of the option unless it says so.
 
     former_kind: what stands for the class in hashes, so that stored flights and cells keep theirs; "" for nothing.
+    former_keys: keys that it had, and the values that flights of today stand for: hashes and noise of a plant stay.
     added: keys that it did not always have, recorded where they are not as usual.
+    age_key: that of the age of the measured state, which `timing.age` gives, where it has one.
     """
 
     former_kind: ClassVar[str] = ""
+    former_keys: ClassVar[Mapping[str, Any]] = {}
     added: ClassVar[tuple[str, ...]] = ()
+    age_key: ClassVar[str] = "age"
 
     name: Name = "unnamed"
 

@@ -1,12 +1,13 @@
 """What each command reads of the configuration. What is given besides is refused: it would be without effect.
 
-A word stands for a group with its keys, or for one key. `sweep`: what an experiment varies; `fit`: the keys of a model.
+A command says it in BRINGS["reads"] (quadexp/plugin.py), in words: a group with its keys, one key, or a name of SETS.
+`sweep`: what an experiment varies; `fit`: the keys of a model.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import reduce
+from functools import cache, reduce
 from typing import Any
 
 from quadexp.errors import UsageError
@@ -14,29 +15,24 @@ from quadexp.names import SPELLINGS, distinct
 from quadexp.parts.models import GROUP
 from quadexp.parts.schema import BUNDLES, PRESETS, REMEDIES, WORLD, Config
 from quadexp.parts.settings import find, shown
+from quadexp.plugin import places, shipped_places
 
-CONTROLLER = " ".join(("controller timing remedies", *PRESETS, *REMEDIES))
-LOOP = " ".join(("vehicle plant model seed", CONTROLLER, *WORLD, *BUNDLES))
-FLIGHT = f"{LOOP} trajectory"
-ENGINE = "engine evaluate.workers evaluate.timeout evaluate.memory"
-READS = {
-    "simulate": FLIGHT,
-    "export-controller": FLIGHT,
-    "fly": FLIGHT,
-    "evaluate": f"{FLIGHT} evaluate.metric evaluate.figures evaluate.log_period",
-    "evaluate --sweep": f"{FLIGHT} evaluate engine sweep",
-    "tune": f"{FLIGHT} {ENGINE} evaluate.metric evaluate.log_period sweep",
-    "bench": ENGINE,
-    "bench --controller": CONTROLLER,
-    "collect": f"{LOOP} collect",
-    "collect --sweep": f"{LOOP} collect sweep",
-    "collect --flight": "vehicle collect.frame collect.thrust collect.state collect.target collect.identified",
-    "fit": "vehicle fit",
-    "validate": "vehicle",
-    "show --margins": FLIGHT,
-    "qx.controller": FLIGHT,
-    "gymnasium.make": " ".join(("vehicle plant seed trajectory world", *WORLD)),
+CONTROLLER = ("controller", "timing", "remedies", *PRESETS, *REMEDIES)
+LOOP = ("vehicle", "plant", "model", "seed", *CONTROLLER, *WORLD, *BUNDLES)
+SETS = {
+    "CONTROLLER": CONTROLLER,
+    "WORLD": ("vehicle", "plant", "seed", "trajectory", "world", *WORLD),
+    "LOOP": LOOP,
+    "FLIGHT": (*LOOP, "trajectory"),
+    "ENGINE": ("engine", "evaluate.workers", "evaluate.timeout", "evaluate.memory"),
 }
+
+
+@cache
+def reads(command: str) -> tuple[str, ...]:
+    """Groups and keys that a command reads, or what else is asked of this program."""
+    words = shipped_places("reads").get(command) or places("reads")[command]
+    return tuple(key for word in words.split() for key in SETS.get(word, (word,)))
 
 
 def is_read(key: str, command: str) -> bool:
@@ -44,12 +40,13 @@ def is_read(key: str, command: str) -> bool:
     group, dot, _ = key.partition(".")
     if group in SPELLINGS or (group == GROUP and dot):
         key = "fit"
-    return any(f"{key}.".startswith(f"{word}.") for word in READS[command].split())
+    return any(f"{key}.".startswith(f"{word}.") for word in reads(command))
 
 
 def refuse_unread(command: str, override: str, keys: Iterable[str]) -> None:
     """UsageError where other commands read what an override sets, and this one reads none of it. override: its text."""
-    readers = distinct(other for key in keys for other in READS if is_read(key, other))
+    commands = (*shipped_places("reads"), command)
+    readers = distinct(other for key in keys for other in commands if is_read(key, other))
     if not readers or command in readers:
         return
     advice = "add --sweep" if f"{command} --sweep" in readers else f"it is for {', '.join(readers)}"

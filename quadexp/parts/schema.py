@@ -1,16 +1,27 @@
-"""The whole configuration: one part of every group, and single keys; which groups stand together."""
+"""The whole configuration: one part of every group, and single keys; which groups stand together.
+
+A plug-in brings groups of its own, as words "BUNDLE AFTER" in BRINGS["groups"] (quadexp/plugin.py): the bundle that it
+is of, "world" or "remedies", and the group that it follows. A third word is the name that hashes have for it. Its
+option `none` is taken. A group that is "listed" holds files of settings, and no parts of flights.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from quadexp.errors import UsageError
 from quadexp.parts.former import GROUPS
 from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, Settings, key, keyed
+from quadexp.plugin import shipped_places
+
+T = TypeVar("T")
+LISTED = "listed"
+_WORDS = {group: words.split() for group, words in shipped_places("groups").items()}
+BROUGHT = {group: words for group, words in _WORDS.items() if words != [LISTED]}  # those of flights
 
 
 @keyed
@@ -25,7 +36,7 @@ class EvaluateConfig(Settings):
         options="metric",
         also=("mean_error", "rmse", "max_error"),
     )
-    figures: str = key("standard", "figures drawn in addition to the standard ones: a module of quadexp/plugins/papers")
+    figures: str = key("standard", "figures drawn in addition to the standard ones: those of a paper")
     baseline: str = key("nominal_mpc", "controller with which the others are compared, seed by seed")
     confidence: float = key(0.95, "confidence level of every interval", "[0.5, 0.9999]")
     workers: int = key(0, "parallel processes; 0: one per core", "[0, 1024]", "processes")
@@ -38,7 +49,14 @@ class EvaluateConfig(Settings):
     )
 
 
+def with_brought(kind: type[T]) -> type[T]:
+    """The class with a field for each group that plug-ins bring."""
+    kind.__annotations__.update(dict.fromkeys(BROUGHT, "Any"))
+    return kind
+
+
 @keyed
+@with_brought
 class Config(Settings):
     """The whole configuration. sweep: what `evaluate --sweep` varies (experiment files). world: the name of what is
     around the plant, for tables; see `world_name`."""
@@ -51,17 +69,11 @@ class Config(Settings):
     external: Any
     link: Any
     actuator: Any
-    battery: Any
     health: Any
-    ground: Any
     sensor: Any
     estimator: Any
     trajectory: Any
     controller: Any
-    observer: Any
-    adaptive: Any
-    rate_loop: Any
-    delay: Any
     timing: Any
     collect: Any
     engine: Any
@@ -81,26 +93,39 @@ def conf_folder() -> Path:
     raise UsageError(f"no conf/config.yaml beside {here}: the installation is incomplete")
 
 
-# The option that config.yaml takes of every group, in its order.
-CHOSEN: dict[str, str] = dict(
-    re.findall(r"^ *- (\w+): (?!null)(\w+)", (conf_folder() / "config.yaml").read_text(encoding="utf-8"), re.MULTILINE)
-)
+def _chosen() -> dict[str, str]:
+    """The option that is taken of every group: as config.yaml says, in its order, and `none` of those of plug-ins."""
+    stated = (conf_folder() / "config.yaml").read_text(encoding="utf-8")
+    chosen = re.findall(r"^ *- (\w+): (?!null)(\w+)", stated, re.MULTILINE)
+    for group, (bundle, after, *_) in BROUGHT.items():
+        groups = [name for name, _ in chosen]
+        place = groups.index(after) + 1 if after in groups else groups.index(bundle)
+        chosen.insert(place, (group, "none"))
+    return dict(chosen)
+
+
+def _bundled(bundle: str, *of_core: str) -> tuple[str, ...]:
+    return tuple(group for group in CHOSEN if group in of_core or BROUGHT.get(group, [""])[0] == bundle)
+
+
+CHOSEN = _chosen()
 # Around an airframe, in the order in which a command meets them; see quadexp/world/effect.py.
-WORLD = (
-    "truth", "payload", "wind", "external", "link", "actuator", "battery", "health", "ground", "sensor", "estimator",
+WORLD = _bundled(
+    "world", "truth", "payload", "wind", "external", "link", "actuator", "health", "sensor", "estimator"
 )  # fmt: skip
-REMEDIES = (
-    "observer",
-    "adaptive",
-    "rate_loop",
-    "delay",
-)  # around a controller, the nearest first; quadexp/control/part.py
+REMEDIES = _bundled("remedies")  # around a controller, the nearest first; quadexp/control/part.py
 # Groups whose options choose those of several others, and set values of theirs.
 BUNDLES = {"world": WORLD, "remedies": REMEDIES}
 # Groups of presets, and the group whose values their options set.
 PRESETS = {"horizon": "controller", "motor": "controller"}
 PARTS = tuple(group for group in CHOSEN if group not in {*BUNDLES, *PRESETS})  # groups whose options stand for a part
 CLASSES = (*PARTS, "model", "metric")  # and those of what is fitted and of what is measured, no parts of a flight
+KNOWN = {*CHOSEN, *CLASSES, *_WORDS, "experiment"}
+
+
+def lacks_plugin(group: str) -> bool:
+    """Whether options of this program are of a group whose plug-in is not there."""
+    return group not in KNOWN and (conf_folder() / group).is_dir()
 
 
 def of_contestant(key: str) -> bool:

@@ -1,7 +1,7 @@
 """Which delays a controller and the parts around it are given, in one place: the group `timing=`.
 
-    age          of the measured state                 delay.time
-    dead_time    from a command to its thrust          controller, observer, adaptive, inner, delay: .dead_time
+    age          of the measured state                 .age of a controller and of what is around it, see Part.age_key
+    dead_time    from a command to its thrust          likewise .dead_time
     motor_lag    of the thrust behind its command      likewise .motor_lag; of an MPC as `motor=` says:
                                                        states .motor_lag, lead .motor_lead, dead_time .dead_time
 
@@ -15,11 +15,14 @@ from dataclasses import replace
 from typing import Any
 
 from quadexp.errors import UsageError
+from quadexp.messages import MOST_NAMED
+from quadexp.parts.options import OptionFiles
 from quadexp.parts.part import Part
-from quadexp.parts.schema import Config
+from quadexp.parts.schema import REMEDIES, Config
 from quadexp.parts.settings import declared, key, keyed
+from quadexp.parts.user_modules import own_folders
 
-PARTS = ("controller", "observer", "adaptive", "rate_loop", "delay")  # that may be given, the controller first
+PARTS = ("controller", *REMEDIES)  # that may be given, the controller first
 TIMES = ("age", "dead_time", "motor_lag")
 
 
@@ -49,7 +52,7 @@ def with_timing(config: Config, given: Collection[str], motor: str) -> Config:
         names = declared(type(part))
         changes: dict[str, Any] = {}
         for name, value in known.items():
-            at = "time" if name == "age" and group == "delay" else name
+            at = part.age_key if name == "age" else name
             if name == "motor_lag" and motor == "dead_time" and group == "controller":
                 at = "dead_time"
                 value = value + known.get("dead_time", 0.0)
@@ -65,6 +68,17 @@ def with_timing(config: Config, given: Collection[str], motor: str) -> Config:
             config = replace(config, **{group: replace(part, **changes)})
     for name in known.keys() - taken:
         if f"timing.{name}" in given:
-            advice = "delay=prediction, delay=strapdown" if name == "age" else "delay=prediction, an MPC, an observer"
-            raise UsageError(f"timing.{name}={known[name]:g}: nothing in this configuration uses it: add {advice}")
+            advice = f": add {', '.join(options[:MOST_NAMED])}" if (options := takers(name)) else ""
+            raise UsageError(f"timing.{name}={known[name]:g}: nothing in this configuration uses it{advice}")
     return config
+
+
+def takers(name: str) -> list[str]:
+    """The options that take a key of `timing`, GROUP=OPTION, those around a controller first."""
+    files = OptionFiles(own_folders())
+    options = []
+    for group in (*REMEDIES, "controller"):
+        for option, part in files.parts(group).items():
+            if (part.age_key if name == "age" else name) in declared(part):
+                options.append(f"{group}={option}")
+    return options

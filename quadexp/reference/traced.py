@@ -8,6 +8,7 @@ the whole step, with the model of the air inside.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any
@@ -57,16 +58,15 @@ def _element(function: Callable[..., Any], inputs: int) -> np.ufunc:
 _BY_ELEMENT: dict[Any, np.ufunc] = {
     np.minimum: _element(ca.fmin, 2),
     np.maximum: _element(ca.fmax, 2),
-    np.greater: _element(lambda a, b: a > b, 2),
-    np.less: _element(lambda a, b: a < b, 2),
-    np.greater_equal: _element(lambda a, b: a >= b, 2),
-    np.equal: _element(lambda a, b: a == b, 2),
+    np.greater: _element(operator.gt, 2),
+    np.less: _element(operator.lt, 2),
+    np.greater_equal: _element(operator.ge, 2),
+    np.equal: _element(operator.eq, 2),
     np.bitwise_and: _element(ca.logic_and, 2),
     np.arctan2: _element(ca.atan2, 2),
 }
-_CHOICE = _element(ca.if_else, 3)
 _FUNCTIONS: dict[Callable[..., Any], Callable[..., Any]] = {
-    np.where: lambda condition, one, other: _CHOICE(condition, one, other),
+    np.where: _element(ca.if_else, 3),
     np.clip: lambda value, low, high: _BY_ELEMENT[np.minimum](_BY_ELEMENT[np.maximum](value, low), high),
     np.linalg.norm: lambda value, axis: np.sqrt((value * value).sum(axis=axis)),
     np.linalg.solve: lambda system, right: _solve(system[0], right[0])[None],
@@ -74,10 +74,8 @@ _FUNCTIONS: dict[Callable[..., Any], Callable[..., Any]] = {
 
 
 def _solve(system: np.ndarray, right: np.ndarray) -> np.ndarray:
-    solution = ca.solve(*(ca.vertcat(*(ca.horzcat(*row) for row in matrix)) for matrix in (system, right)))
-    return np.array(
-        [[solution[i, j] for j in range(solution.shape[1])] for i in range(solution.shape[0])], dtype=object
-    )
+    solution = ca.solve(ca.blockcat(system.tolist()), ca.blockcat(right.tolist()))
+    return np.array([ca.horzsplit(row) for row in ca.vertsplit(solution)], dtype=object)
 
 
 def _symbols(array: Any) -> Any:
@@ -145,30 +143,31 @@ def compiled_steps(vehicle: Vehicle, residual: ca.Function, free_heading: bool) 
     first = _vector([frame.quaternion[0], frame.force[2], o[2], o_dot[2]])
 
     n = vehicle.n_rotors
-    sizes = [N_OUTPUTS, 3 * N_OUTPUTS, n * N_OUTPUTS]
-    parts = [ca.SX.sym("response", size) for size in sizes]
+    y, by_velocity, by_thrust = symbols(ca.SX, y=N_OUTPUTS, by_velocity=3 * N_OUTPUTS, by_thrust=n * N_OUTPUTS)
+    knows_thrust = ca.DM(residual.sparsity_out(1), 1)[:, len(FEATURES) :].nnz()
+    response = AirResponse(
+        _column(y, (N_OUTPUTS,)),
+        _column(by_velocity, (N_OUTPUTS, 3)),
+        _column(by_thrust, (N_OUTPUTS, n)) if knows_thrust else np.zeros((N_OUTPUTS, n, 1)),
+    )
     features: list[ca.SX] = []
 
     def model(z: np.ndarray) -> AirResponse:
         features.append(_vector(z))
-        y, by_velocity, by_thrust = (_column(v, (N_OUTPUTS, *m)) for v, m in zip(parts, ((), (3,), (n,)), strict=True))
-        knows_thrust = ca.DM(residual.sparsity_out(1), 1)[:, len(FEATURES) :].nnz()
-        return AirResponse(y, by_velocity, by_thrust if knows_thrust else np.zeros((N_OUTPUTS, n, 1)))
+        return response
 
     predicted, after = predicted_and_next(demand, vehicle, model, air, Constant(_column(chi, ())))
-    last = ca.Function("last", [row, chi, ca.vertcat(*parts)], [ca.cse(_vector([*predicted, *after]))])
+    symbolic_response = ca.vertcat(y, by_velocity, by_thrust)
+    last = ca.Function("last", [row, chi, symbolic_response], [ca.cse(_vector([*predicted, *after]))])
     middle = ca.Function("middle", [row, chi], [ca.cse(features[0])])
 
+    # The function of all: the model of the air is called between `middle` and `last`.
     arguments, theta, share = symbols(ca.MX, row=N_DEMAND + N_AIR + 1, theta=residual.size1_in(1), share=1)
     split = [arguments[:-1], arguments[-1]]
-    response = share * outputs_and_gradients(residual, middle(*split), theta)
-    functions = [
-        ca.Function("air_first", [ca.vertcat(row, chi)], [ca.cse(first)], ["row"], ["first"]),
-        ca.Function(
-            "air_step", [arguments, theta, share], [last(*split, response)], ["row", "theta", "share"], ["step"]
-        ),
-    ]
-    first_step, second_step = realise_together(functions, "compiled")
+    step = last(*split, share * outputs_and_gradients(residual, middle(*split), theta))
+    air_first = ca.Function("air_first", [ca.vertcat(row, chi)], [ca.cse(first)], ["row"], ["first"])
+    air_step = ca.Function("air_step", [arguments, theta, share], [step], ["row", "theta", "share"], ["step"])
+    first_step, second_step = realise_together([air_first, air_step], "compiled")
     return first_step, second_step
 
 

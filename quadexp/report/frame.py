@@ -28,7 +28,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.log.schema import describe
 from quadexp.log.store import read_metadata, read_table
 from quadexp.messages import suggestion
-from quadexp.names import distinct
+from quadexp.names import SPELLINGS, distinct
 from quadexp.parts.cells import OPTION
 from quadexp.parts.options import units
 from quadexp.parts.schema import PARTS, REMEDIES, WORLD
@@ -45,7 +45,7 @@ ASKED = ("vehicle", "plant", "trajectory", "trajectory.speed", "controller", "mo
 SAME = ("vehicle", "plant", "trajectory", "controller", "model", "variant", "sources")  # of flights that share settings
 MOST_GONE = 3  # of them that are tried where files are missing
 MILLISECONDS = 0.1  # s, below which times are printed in milliseconds
-SETTINGS_ASIDE = ("evaluate", "engine", "experiment", "collect", "gp", "drag")  # nodes that decide no flight
+SETTINGS_ASIDE = ("evaluate", "engine", "experiment", "collect", *SPELLINGS)  # nodes that decide no flight
 # Of a condition.
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "us": 1e-6, "ms": 1e-3, "s": 1.0, "deg": math.pi / 180, "%": 0.01}
 SIGNS = {"=": "==", "<>": "!=", "&&": "and", "||": "or"}

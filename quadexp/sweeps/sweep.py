@@ -71,25 +71,9 @@ class SweepInterrupted(QuadexpError):
     exit_code = 130
 
 
-def run_sweep(
-    cells: Sequence[Cell],
-    out: str | Path,
-    *,
-    metric: str = "mean_error",
-    baseline: str = BASELINE,
-    confidence: float = CONFIDENCE,
-    engine: Engine | None = None,
-    workers: int = 0,
-    force: bool = False,
-    old: Old = "ask",
-    isolate: bool = True,
-    progress: Progress = lambda done, total: None,
-    flown: Callable[[Sequence[Row], Mapping[str, Any]], None] = lambda rows, record: None,
-    on_result: Callable[[Row], None] = lambda row: None,
-    function: CellFunction = evaluate_cell,
-    conf: Sequence[Path] = (),
-) -> SweepResult:
-    """Fly the cells that are not done, and write the table of all.
+@dataclass(frozen=True, kw_only=True)
+class SweepRequest:
+    """How a sweep is flown, and what its tables show.
 
     metric: of the table. baseline: controller that the others are compared with. confidence: of the intervals.
     engine: where to fly; None for `workers` processes of this machine (0: one a core). force: fly everything again, and
@@ -97,6 +81,28 @@ def run_sweep(
     "refly", "keep", or refuse to go on. isolate: False flies in this process. flown: called with the rows and the
     record of the results once all cells are flown, before the tables are made. on_result: called with every row as it
     is there. function: flies one cell. conf: the user's configuration folders, for the record.
+    """
+
+    metric: str = "mean_error"
+    baseline: str = BASELINE
+    confidence: float = CONFIDENCE
+    engine: Engine | None = None
+    workers: int = 0
+    force: bool = False
+    old: Old = "ask"
+    isolate: bool = True
+    progress: Progress = lambda done, total: None
+    flown: Callable[[Sequence[Row], Mapping[str, Any]], None] = lambda rows, record: None
+    on_result: Callable[[Row], None] = lambda row: None
+    function: CellFunction = evaluate_cell
+    conf: Sequence[Path] = ()
+
+
+AS_USUAL = SweepRequest()
+
+
+def run_sweep(cells: Sequence[Cell], out: str | Path, asked: SweepRequest = AS_USUAL) -> SweepResult:
+    """Fly the cells that are not done, and write the table of all.
 
     A cell whose settings contradict each other is not flown: the outcome of its row is "invalid", `cause` says why.
 
@@ -105,48 +111,48 @@ def run_sweep(
     """
     store = CellStore(out)
     jobs = plan_cells(cells)
-    done = set() if force else store.done()
+    done = set() if asked.force else store.done()
     wrong = check_jobs(job for job in jobs.values() if job.key not in done and not job.invalid)
     jobs |= {key: replace(jobs[key], invalid=why) for key, why in wrong.items()}
     if wrong and all(job.invalid for job in jobs.values()):
         raise UsageError(next(iter(wrong.values())))
-    if not isolate:
+    if not asked.isolate:
         for config in (job.cell.config for job in jobs.values() if not job.invalid):
             vehicle = build_vehicle(config.vehicle)
             check_feasible(config, build_trajectory(config.trajectory, vehicle), vehicle)
-    flown_before = not force and done.issuperset(job.key for job in jobs.values() if not job.invalid)
+    flown_before = not asked.force and done.issuperset(job.key for job in jobs.values() if not job.invalid)
     frozen = flown_before and store.is_frozen  # its table can be shown all the same
     state = flying(store, lambda: f"{len(store.done().intersection(jobs))} of {len(jobs)} done")
     with contextlib.nullcontext() if frozen else state:
-        if force:
+        if asked.force:
             store.remove(jobs)
         else:
             _refuse_another_sweep(store, jobs)
-        rows, notes = recall(store, jobs, old)
+        rows, notes = recall(store, jobs, asked.old)
         for job in (job for job in jobs.values() if job.invalid):
             rows[job.key] = _row_of(job, failed_row(job.cell.config, None, job.invalid, INVALID), store)
         todo = len(jobs) - len(rows)
         for row in rows.values():
-            on_result(row)
-        for row in fly_missing(jobs, rows, store, engine or LocalEngine(workers), function, isolate, progress):
-            on_result(row)
+            asked.on_result(row)
+        for row in fly_missing(jobs, rows, store, asked):
+            asked.on_result(row)
         in_order = [rows[key] for key in jobs]
         if all(row["outcome"] == INVALID for row in in_order):
             raise UsageError(in_order[0]["cause"])
         unflown = [row["key"] for row in in_order if row["outcome"] in ("failed", INVALID)]
         record = {
-            "metric": metric, **own_record(), "baseline": baseline, "confidence": confidence,
+            "metric": asked.metric, **own_record(), "baseline": asked.baseline, "confidence": asked.confidence,
             "grids": list(cells.grids) if isinstance(cells, Cells) else [[[o] for o in c.overrides] for c in cells],
             "files": {path: text for job in jobs.values() for path, text in job.files.items()},
             "conditions": sorted({job.condition for job in jobs.values()}),
             "without_flight": {key: list(jobs[key].cell.overrides) for key in unflown},
             "flown_by": flown_by(in_order), "provenance": provenance(),
-            "folder": str(Path.cwd()), "conf": [str(folder.absolute()) for folder in conf],
+            "folder": str(Path.cwd()), "conf": [str(folder.absolute()) for folder in asked.conf],
         }  # fmt: skip
         if frozen:
             notes.append(f"{store.root}: cannot be written: tables and figures in it are as they were")
         else:
-            flown(in_order, record)
+            asked.flown(in_order, record)
         statistics, shown, files, altered = write_results(store.root, in_order, record, write=not frozen)
         if not frozen:
             store.listed(jobs)
@@ -236,20 +242,12 @@ def flight_of(path: Path, row: Mapping[str, Any]) -> Flight:
     return read_flight(path, check=False)
 
 
-def fly_missing(
-    jobs: Mapping[str, Job],
-    rows: dict[str, Row],
-    store: CellStore,
-    engine: Engine,
-    function: CellFunction,
-    isolate: bool,
-    progress: Progress,
-) -> Iterator[Row]:
+def fly_missing(jobs: Mapping[str, Job], rows: dict[str, Row], store: CellStore, asked: SweepRequest) -> Iterator[Row]:
     """Fly the cells that have no row, and give them one; yield each as it ends, also of those that failed."""
     todo = [job for job in jobs.values() if job.key not in rows]
     for folder in {store.path(job.key).parent for job in todo}:
         folder.mkdir(parents=True, exist_ok=True)
-    progress(len(rows), len(jobs))
+    asked.progress(len(rows), len(jobs))
     if not todo:
         return
     store.ask(jobs)
@@ -257,10 +255,10 @@ def fly_missing(
         Task(job.key, job.cell.config, job.model, str(store.path(job.key)), job.inputs) for job in flying_order(todo)
     ]
     flown: Generator[tuple[str, Any]]
-    if not isolate:
-        flown = ((t.key, function(t.config, t.model, t.path, t.key)) for t in tasks)
+    if not asked.isolate:
+        flown = ((t.key, asked.function(t.config, t.model, t.path, t.key)) for t in tasks)
     else:
-        flown = engine.fly(function, tasks)
+        flown = (asked.engine or LocalEngine(asked.workers)).fly(asked.function, tasks)
     with contextlib.closing(flown):
         for key, row in flown:
             if not isinstance(row, CellFailed) and row.get("sources") != sources():
@@ -274,7 +272,7 @@ def fly_missing(
                 row = failed_row(*cell, row.cause, INVALID if row.contradiction else "failed")
             rows[key] = _row_of(jobs[key], row, store)
             yield rows[key]
-            progress(len(rows), len(jobs))
+            asked.progress(len(rows), len(jobs))
     flush(store.folder)  # all at once: flushing each would take as long as flying it
 
 

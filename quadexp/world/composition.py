@@ -209,12 +209,14 @@ class _Parts:
         """The inner states of all effects: `moved` of those that change from step to step, the others' from
         `of_effects`."""
         pieces = self._cut(of_effects, "inner")
-        first = 0
-        for i in self.moving:
-            size = self._layout.effects[i].inner
-            pieces[i] = moved[first : first + size]
-            first = first + size
+        self._place(pieces, self.moving, moved)
         return ca.vertcat(of_effects[:0], *pieces)
+
+    def _place(self, pieces: list[Any], which: list[int], values: Any) -> None:
+        """Put the inner states of some effects, one after another, where those of each stand."""
+        sizes = [self._layout.effects[i].inner for i in which]
+        for i, piece in zip(which, split(values, sizes), strict=True):
+            pieces[i] = piece
 
     def _cut(self, value: Any, kind: str) -> list[Any]:
         """The effects' shares of a vector, with the airframe's before them or, of the inner states, without."""
@@ -342,11 +344,7 @@ class _Parts:
         theta = parameters[: layout.airframe.parameters]
 
         pieces = [ca.MX(sizes.inner, 1) for sizes in layout.effects]
-        first = 0
-        for i in self.still:
-            size = layout.effects[i].inner
-            pieces[i] = still[first : first + size]
-            first = first + size
+        self._place(pieces, self.still, still)
         of_effects = self.assembled(moved, ca.vertcat(ca.MX(0, 1), *pieces))
         wind, thrusts, *entering = self.drive()(t, x, of_effects, u, parameters, step)
         pushes = any(effect.has("wrench") for effect in self._effects)

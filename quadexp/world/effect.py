@@ -23,6 +23,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.parts.former import names_of
 from quadexp.parts.part import Part
+from quadexp.parts.schema import WORLD
 from quadexp.parts.sensor_spec import SensorSpec
 from quadexp.parts.settings import keyed
 from quadexp.physics.expression import Expression
@@ -30,8 +31,8 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.world.streams import Drawn
 
 # Groups of effects in the order in which a command meets them; `truth` changes the vehicle, `wind` and `external` act
-# on the airframe, the last two on what is measured.
-STAGES = ("truth", "wind", "external", "link", "actuator", "battery", "health", "ground", "sensor", "estimator")
+# on the airframe, the last two on what is measured. A payload is a part of the vehicle, or an effect of another stage.
+STAGES = tuple(group for group in WORLD if group != "payload")
 
 
 @dataclass(frozen=True)
@@ -140,6 +141,11 @@ class Effect(Part):
     def part(self) -> str:
         """Name of its random stream; two effects of one world differ in it."""
         return self.stage
+
+    @property
+    def ground_height(self) -> float | None:
+        """Of the ground, world (m); None where it knows of none."""
+        return None
 
     @property
     def loop_delay(self) -> float:

@@ -85,6 +85,7 @@ class Simplified(PlantEffects, PlantPart):
     """Torrente's simplified simulation."""
 
     former_kind = "simplified"
+    former_keys = {"payload": 0.0}
 
     def build(self, context: BuildContext) -> SimplifiedPlant:
         return SimplifiedPlant(context.vehicle, part(PlantEffects, self), step=self.step, backend=self.backend)

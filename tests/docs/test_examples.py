@@ -8,7 +8,7 @@ import numpy as np
 from quadexp.experiment.evaluate import fly_one
 from quadexp.parts.compose import compose
 from quadexp.report.metrics import position_error
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 INTERPRETED = ("plant.backend=interpreted", "controller.backend=interpreted")
@@ -67,7 +67,7 @@ def test_an_edited_class_is_flown_anew(tmp_path, monkeypatch):
         from quadexp.parts.compose import expand
 
         cells = expand(["trajectory=mine", "seed=0,1", *INTERPRETED], conf)
-        return run_sweep(cells, tmp_path / "results", isolate=False)
+        return run_sweep(cells, tmp_path / "results", SweepRequest(isolate=False))
 
     assert sweep().flown == 2
     assert sweep().flown == 0

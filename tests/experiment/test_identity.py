@@ -23,7 +23,7 @@ from quadexp.parts.compose import compose, expand
 from quadexp.plugins.archive.verify import verify_results
 from quadexp.sweeps.engine import Task, fly_as_planned
 from quadexp.sweeps.plan import plan_cells
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.plugins.cluster.test_dask import make_checkpoint
 from tests.sweeps.cells import quick_cell
 
@@ -178,7 +178,7 @@ def flown_height(folder: Path) -> float:
 
 def swept_height(folder: Path, out: Path, trajectories: str = "mine", **options) -> float:
     """Of the reference of `mine` in a sweep, flown by worker processes (m)."""
-    result = run_sweep(expand([f"trajectory={trajectories}", *SHORT], folder), out, workers=1, **options)
+    result = run_sweep(expand([f"trajectory={trajectories}", *SHORT], folder), out, SweepRequest(workers=1, **options))
     (row,) = (row for row in result.rows if row["trajectory"] == "mine")
     assert row["outcome"] == "ok", row["cause"]
     return float(read_flight(CellStore(out).path(row["key"])).columns["ref_p_z"][0])
@@ -270,11 +270,11 @@ class TestSweep:
     def test_an_own_option_beside_a_shipped_one_that_is_edited_is_flown_again_alone(self, tmp_path):
         folder, cells = place(tmp_path / "mine", 1.0), ["trajectory=hover,mine", *SHORT]
         options = {"isolate": False, "function": quick_cell}
-        assert run_sweep(expand(cells, folder), tmp_path / "r", **options).flown == 2
-        assert run_sweep(expand(cells, folder), tmp_path / "r", **options).flown == 0
+        assert run_sweep(expand(cells, folder), tmp_path / "r", SweepRequest(**options)).flown == 2
+        assert run_sweep(expand(cells, folder), tmp_path / "r", SweepRequest(**options)).flown == 0
         place(folder, 2.0)
         assert "same_helper.py" in str(verify_results(tmp_path / "r").wrong)
-        assert run_sweep(expand(cells, folder), tmp_path / "r", **options).flown == 1
+        assert run_sweep(expand(cells, folder), tmp_path / "r", SweepRequest(**options)).flown == 1
         assert not verify_results(tmp_path / "r").wrong
 
     def test_a_worker_flies_what_was_planned_or_refuses(self, tmp_path):
@@ -374,12 +374,12 @@ def test_a_cell_is_recalled_if_its_own_sources_are_the_same(tmp_path, monkeypatc
     """Whatever else of the program has changed since; and not if a library that it was flown with has."""
     options = {"isolate": False, "function": quick_cell}
     cells = expand(["controller=pid", "seed=0,1"])
-    run_sweep(cells, tmp_path / "r", **options)
+    run_sweep(cells, tmp_path / "r", SweepRequest(**options))
     with monkeypatch.context() as patch:
         for module in ("sweeps.sweep", "experiment.identity", "experiment.evaluate"):
             patch.setattr(f"quadexp.{module}.sources", lambda: "0123456789ab")
-        assert run_sweep(cells, tmp_path / "r", **options).flown == 0
+        assert run_sweep(cells, tmp_path / "r", SweepRequest(**options)).flown == 0
     monkeypatch.setattr(identity, "_program", lambda *_: ("of another library", frozenset()))
     with pytest.raises(UsageError, match="2 of its cells were flown by other sources"):
-        run_sweep(cells, tmp_path / "r", **options)
-    assert run_sweep(cells, tmp_path / "r", old="refly", **options).flown == 2
+        run_sweep(cells, tmp_path / "r", SweepRequest(**options))
+    assert run_sweep(cells, tmp_path / "r", SweepRequest(old="refly", **options)).flown == 2

@@ -109,10 +109,12 @@ class TestFlownByAll:
     def test_the_share_is_a_column_of_results(self, tmp_path):
         from quadexp.log.store import read_table
         from quadexp.parts.compose import expand
-        from quadexp.sweeps.sweep import run_sweep
+        from quadexp.sweeps.sweep import SweepRequest, run_sweep
 
         grid = ["trajectory=random", "trajectory.extent=20", "trajectory.speed=60", "seed=2"]
-        result = run_sweep(expand([*grid, "controller=nominal_mpc,perfect_mpc"]), tmp_path / "r", workers=1)
+        result = run_sweep(
+            expand([*grid, "controller=nominal_mpc,perfect_mpc"]), tmp_path / "r", SweepRequest(workers=1)
+        )
         shares = {row["controller"]: row["reference_residual"] for row in result.rows}
         assert shares["nominal_mpc"] is None and 0 < shares["perfect_mpc"] < 1
         columns, _ = read_table(tmp_path / "r" / "results.parquet", "results")

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -90,8 +91,8 @@ def reduced(models, here, monkeypatch, unmeasured):
         yield
 
 
-def no_processes(run_sweep, *cells, **options):
-    return run_sweep(*cells, **options | {"isolate": False})
+def no_processes(run_sweep, cells, out, asked):
+    return run_sweep(cells, out, replace(asked, isolate=False))
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)

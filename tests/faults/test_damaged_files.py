@@ -137,7 +137,7 @@ def test_time_that_does_not_go_on(tmp_path, fault):
     for learn in (
         lambda: collect_dataset(compose([]), tmp_path / "r.parquet", flights=[path]),
         lambda: read_recorded(path),
-        lambda: identify_files([path], tmp_path / "e", vehicle="lei_li"),
+        lambda: identify_files([path], tmp_path / "e"),
     ):
         with pytest.raises(DataError, match="time does not go on from row"):
             learn()

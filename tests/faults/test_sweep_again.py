@@ -9,13 +9,13 @@ import pytest
 from quadexp.errors import UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.parts.compose import expand
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.sweeps.cells import quick_cell
 
 
 def fly(out, seeds=2, **options):
     cells = expand([f"seed=range({seeds})", "trajectory.speed=2", "controller=nominal_mpc"])
-    return run_sweep(cells, out, isolate=False, function=quick_cell, **options)
+    return run_sweep(cells, out, SweepRequest(isolate=False, function=quick_cell, **options))
 
 
 @pytest.fixture

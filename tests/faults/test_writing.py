@@ -11,7 +11,7 @@ from quadexp.errors import QuadexpError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight
 from quadexp.parts.compose import compose, expand
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.faults.command import FLY, apart, one_line, run
 from tests.sweeps.cells import CountedCell, built_engine
 
@@ -82,7 +82,7 @@ def test_how_many_are_flown_for_a_full_disk(disk, tmp_path, engine):
     counted = CountedCell(str(tmp_path / "flown"))  # where there is room
     started = built_engine(compose([f"engine={engine}", "evaluate.workers=2"]))
     with pytest.raises(QuadexpError, match="No space left on device.* of 400 done; run the same command") as error:
-        run_sweep(expand(["seed=range(400)"]), disk / "results", function=counted, engine=started)
+        run_sweep(expand(["seed=range(400)"]), disk / "results", SweepRequest(function=counted, engine=started))
     assert error.value.exit_code == 1
     done = len(CellStore(disk / "results").done())
     assert done > 3 and done < len((tmp_path / "flown").read_text()) <= done + 12

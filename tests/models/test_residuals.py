@@ -7,7 +7,7 @@ import pytest
 from quadexp.compile.backend import realise
 from quadexp.errors import UsageError
 from quadexp.models.residual import no_residual, scaled_residual, symbolic_residual
-from quadexp.plugins.gaussian_process.gaussian_process import gaussian_process_residual, mean_only
+from quadexp.plugins.gaussian_process.posterior import gaussian_process_residual, mean_only
 from quadexp.world import SimplifiedPlant
 from tests.models.residuals import RESIDUALS, interpolating, make_residual, weighed_outputs
 

@@ -8,6 +8,7 @@ from quadexp.experiment.identity import flight_identity
 from quadexp.parts import former
 from quadexp.parts.compose import compose
 from quadexp.sweeps.plan import cell_key
+from tests.deleted import needs
 
 
 @pytest.fixture(autouse=True)
@@ -15,6 +16,7 @@ def unsaid():
     former.said.cache_clear()
 
 
+@needs("remedies", "laws")
 def test_the_group_of_the_rate_loop(capsys):
     old = compose(["controller=dfbc", "inner=indi", "inner.cutoff=8"])
     assert "inner: is called rate_loop now" in capsys.readouterr().err
@@ -30,6 +32,7 @@ def test_hashes_have_the_group_that_stored_cells_have():
     assert cell_key(identity.record, identity.inputs) == cell_key(stored, identity.inputs)
 
 
+@needs("remedies")
 def test_what_an_option_brings():
     assert former.setting("controller=pid,dfbc inner=indi inner.cutoff=8") == (
         "controller=pid,dfbc rate_loop=indi rate_loop.cutoff=8"

@@ -11,6 +11,7 @@ from quadexp.parts.options import OptionFiles, groups
 from quadexp.parts.schema import CLASSES, PARTS, PRESETS
 from quadexp.parts.settings import plain
 from quadexp.plugins.bench.commands import _controllers
+from tests.deleted import needs
 
 
 def keys(option):
@@ -45,6 +46,7 @@ def test_the_values_are_those_that_fly():
             ), key
 
 
+@needs("remedies")
 def test_a_group_has_all_keys_of_its_options_with_the_values_that_fly_by_default():
     shown, usual = keys_of_group("sensor"), compose().sensor
     assert {*keys("sensor=perfect"), *keys("sensor=imu_gnss")} <= shown.keys()
@@ -61,6 +63,7 @@ def test_a_preset_says_what_it_sets():
     assert keys("horizon=precise")["first_node"]["value"] == "0.02"
 
 
+@needs("remedies", "laws")
 def test_a_word_is_looked_for_in_options_keys_and_meanings():
     found = [one.get("option") or one["key"] for one in listed("delay")]
     assert "delay=strapdown" in found and "estimator.delay" in found and "sensor.pose_delay" in found

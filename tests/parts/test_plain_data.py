@@ -8,7 +8,7 @@ import pytest
 
 from quadexp.errors import UsageError
 from quadexp.parts.compose import compose
-from quadexp.parts.options import MOST_VALUES, read_data
+from quadexp.parts.yaml_files import MOST_VALUES, read_data
 
 BASE = "defaults: [circle, _self_]\nname: mine\n"
 LEVELS = "\n".join(f"{name}: &{name} [{', '.join([f'*{below}'] * 9)}]" for below, name in pairwise("abcdefgh"))

@@ -8,11 +8,15 @@ import quadexp as qx
 from quadexp.errors import UsageError
 from quadexp.parts.compose import compose, session
 from quadexp.parts.options import OptionFiles
-from quadexp.parts.reads import READS, is_read
+from quadexp.parts.reads import is_read
 from quadexp.parts.schema import CHOSEN, PARTS, Config
 from quadexp.parts.settings import declared, find, shown
+from quadexp.plugin import shipped_places
 from tests.cli.command import run
+from tests.deleted import needs
 
+OF_GP = needs("gaussian_process")
+READERS = shipped_places("reads")
 SINGLE = {"model": "model=m", "seed": "seed=1"}
 EVALUATE = [f"evaluate.{name}={shown(key.default)}" for name, key in declared(find(Config, "evaluate").node).items()]
 TEXTS = [*(f"{group}={option}" for group, option in CHOSEN.items()), *SINGLE.values(), *EVALUATE]
@@ -32,13 +36,14 @@ def flight(tmp_path_factory):
     return path
 
 
+@needs()
 def test_every_command_is_here_and_every_key_is_read_by_one():
-    assert {*WORDS, "qx.controller", "bench --controller", "gymnasium.make"} == {*READS}
+    assert {*WORDS, "qx.controller", "bench --controller", "gymnasium.make"} == {*READERS}
     for text in TEXTS:
-        assert any(is_read(text.partition("=")[0], command) for command in READS), text
+        assert any(is_read(text.partition("=")[0], command) for command in READERS), text
 
 
-@pytest.mark.parametrize("command", WORDS)
+@pytest.mark.parametrize("command", [command for command in WORDS if command in READERS])
 def test_what_a_command_does_not_use_is_refused(command, flight, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = [word.format(flight=flight) for word in WORDS[command]]
@@ -51,7 +56,7 @@ def test_what_a_command_does_not_use_is_refused(command, flight, tmp_path, monke
         code, out, err = run(*words, text)
         assert code == 2 and not out, (text, err)
         assert err.startswith(f"error: {text}: is not used by {command}; ") and err.count("\n") == 1, err
-        readers = [other for other in READS if is_read(key, other)]
+        readers = [other for other in READERS if is_read(key, other)]
         advice = "add --sweep" if f"{command} --sweep" in readers else f"it is for {', '.join(readers)}"
         assert err.endswith(f"; {advice}\n"), err
     assert not list(tmp_path.iterdir())
@@ -69,12 +74,18 @@ def test_what_a_command_does_not_use_is_refused(command, flight, tmp_path, monke
         (["collect", "--flight", "x", "collect.duration=5"], "collect.duration=5: is not used by collect --flight"),
         (["fit-gp", "x", "drag.loss=huber"], "drag.loss=huber: is not used by fit gp; it is for fit linear_drag"),
         (["fit-gp", "x", "seed=3"], "seed=3: is not used by fit"),
-        (["simulate", "gp.inducing=4,5"], "gp.inducing=4,5: is not used by simulate; it is for fit"),
-        (["simulate", "gp.inducng=4"], "is not used by simulate"),
+        pytest.param(
+            ["simulate", "gp.inducing=4,5"], "gp.inducing=4,5: is not used by simulate; it is for fit", marks=OF_GP
+        ),
+        pytest.param(["simulate", "gp.inducng=4"], "is not used by simulate", marks=OF_GP),
         (["simulate", "nothing.at=4"], "nothing.at: no such key"),
         (["simulate", "speed=4"], "speed: no such key; did you mean trajectory.speed?"),
         (["show", "--margins", "controller=pid", "engine=local"], "engine=local: is not used by show --margins"),
-        (["bench", "--only", "--controller", "pid experiment=quick"], "is not used by bench --controller"),
+        pytest.param(
+            ["bench", "--only", "--controller", "pid experiment=quick"],
+            "is not used by bench --controller",
+            marks=OF_GP,
+        ),
     ],
 )
 def test_experiments_and_single_keys_too(words, message):
@@ -82,6 +93,7 @@ def test_experiments_and_single_keys_too(words, message):
     assert code == 2 and message in err and err.count("\n") == 1 and not out, err
 
 
+@needs("gaussian_process", "tune", "margins")
 def test_an_experiment_is_taken_where_some_of_it_is_used(tmp_path):
     folder = tmp_path / "mine" / "experiment"
     folder.mkdir(parents=True)
@@ -104,7 +116,7 @@ def test_an_experiment_is_taken_where_some_of_it_is_used(tmp_path):
 @pytest.mark.parametrize(
     ("call", "keywords", "message"),
     [
-        (qx.simulate, {"gp": "full"}, "gp=full: is not used by simulate"),
+        pytest.param(qx.simulate, {"gp": "full"}, "gp=full: is not used by simulate", marks=OF_GP),
         (qx.simulate, {"evaluate": {"metric": "rmse"}}, "evaluate.metric=rmse: is not used by simulate"),
         (qx.controller, {"engine": "local"}, "engine=local: is not used by qx.controller"),
         (qx.collect, {"trajectory": "circle"}, "trajectory=circle: is not used by collect"),

@@ -6,6 +6,7 @@ from quadexp.errors import UsageError
 from quadexp.experiment.identity import flight_record
 from quadexp.parts.compose import compose, session
 from quadexp.plugins.margins.recorded import recorded_words
+from tests.deleted import needs
 
 SAME = (
     ("horizon=robust timing.dead_time=0.02", "horizon=robust controller.dead_time=0.02"),
@@ -37,7 +38,11 @@ def test_it_stands_for_the_keys_of_the_parts(together, apart):
     ("words", "said"),
     [
         ("controller=pid timing.dead_time=0.01", "timing.dead_time=0.01: nothing in this configuration uses it"),
-        ("timing.age=0.01", "timing.age=0.01: nothing in this configuration uses it: add delay=prediction"),
+        pytest.param(
+            "timing.age=0.01",
+            "timing.age=0.01: nothing in this configuration uses it: add delay=prediction",
+            marks=needs("remedies"),
+        ),
         ("timing.dead_time=2", "must be in"),
         ("timing.dead=1", "did you mean timing.dead_time"),
     ],

@@ -74,10 +74,16 @@ def test_the_core_does_its_work_without_all_of_them(checkout):
         done = command(*words)
         assert done.returncode == 0, (words, done.stderr)
     assert (folder / "a" / "results.parquet").is_file() and not (folder / "a" / "figures").exists()
+    listed = {line.split()[0] for line in command("options").stdout.splitlines()}
+    assert {"wind", "controller"} <= listed and not listed & {"observer", "adaptive", "rate_loop", "delay", "battery"}
     for words, said in (
-        (("simulate", *FLIGHT, "observer=disturbance"), "observer._target_="),
+        (("simulate", *FLIGHT, "observer=disturbance"), "observer: no installed plug-in has this group"),
         (("evaluate", "--sweep", "--figures", *FLIGHT, "--out", "again"), "--figures: no installed plug-in"),
-        (("results", "a", "--html", "a.html"), "--html: no installed plug-in"),
+        (("simulate", *FLIGHT, "world=everything"), "battery=quick_sag: no installed plug-in has this group"),
+        (("simulate", *FLIGHT, "timing.age=0.01"), "timing.age=0.01: nothing in this configuration uses it"),
+        (("evaluate", *FLIGHT, "evaluate.workers=1"), "is not used by evaluate; add --sweep"),
+        (("results", "a", "--html", "a.html"), "No such option: --html"),
+        (("show", "a", "--margins"), "No such option: --margins"),
     ):
         done = command(*words)
         assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1, done.stderr

@@ -17,7 +17,7 @@ from quadexp.physics.rotor import RotorGeometry
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.aerodynamics.blade_element import static_coefficients
 from quadexp.plugins.aerodynamics.coefficients import BladeCoefficients
-from quadexp.plugins.gaussian_process.gaussian_process import OutputPosterior, gaussian_process_residual, mean_only
+from quadexp.plugins.gaussian_process.posterior import OutputPosterior, gaussian_process_residual, mean_only
 from quadexp.plugins.papers.lei_li.blade_element import blade_element_residual
 from quadexp.plugins.papers.lei_li.plant import BladeElementEffects
 from quadexp.world import PlantEffects

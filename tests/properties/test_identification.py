@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from quadexp.plugins.aerodynamics.blade_element import static_coefficients
 from quadexp.plugins.aerodynamics.coefficients import BladeCoefficients
-from quadexp.plugins.gaussian_process.gaussian_process import gaussian_process_residual, mean_only
+from quadexp.plugins.gaussian_process.posterior import gaussian_process_residual, mean_only
 from quadexp.plugins.papers.lei_li.rls import AXES, RLSSettings
 from tests.models.batch import batch_least_squares
 from tests.plugins.aerodynamics.aerodynamic_point import aerodynamic_point

@@ -8,7 +8,7 @@ from hypothesis import given
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.models.residual import no_residual
 from quadexp.physics.sensitivity import rk4_sensitivity_function
-from quadexp.plugins.gaussian_process.gaussian_process import gaussian_process_residual
+from quadexp.plugins.gaussian_process.posterior import gaussian_process_residual
 from quadexp.plugins.papers.lei_li.blade_element import blade_element_residual
 from quadexp.world import SimplifiedPlant
 from tests.properties import complex_model

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from quadexp.models.linear_drag import linear_drag_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
-from quadexp.plugins.gaussian_process.gaussian_process import gaussian_process_residual
+from quadexp.plugins.gaussian_process.posterior import gaussian_process_residual
 from quadexp.plugins.papers.lei_li.plant import BladeElementPlant
 from quadexp.world import SimplifiedPlant
 from tests.properties.strategies import (

@@ -7,7 +7,7 @@ import pytest
 from quadexp.models.residual import symbolic_residual
 from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
-from quadexp.plugins.gaussian_process.gaussian_process import gaussian_process_residual, mean_only
+from quadexp.plugins.gaussian_process.posterior import gaussian_process_residual, mean_only
 from quadexp.plugins.papers.lei_li.paths import Rectangle
 from quadexp.reference.circle import Circle
 from quadexp.reference.flatness import flat_reference

@@ -10,7 +10,7 @@ from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import describe, program_record, result_row
 from quadexp.log.store import write_flight
 from quadexp.parts.compose import expand
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.log.flights import straight_flight
 
 
@@ -28,7 +28,7 @@ def swept(out: Path, overrides: list[str], error: Callable[[Any], float | None])
         write_flight(Path(path), flight, key=key)
         return flight.metadata["row"]
 
-    run_sweep(expand(overrides), out, function=cell, isolate=False)
+    run_sweep(expand(overrides), out, SweepRequest(function=cell, isolate=False))
     return out
 
 

@@ -18,6 +18,7 @@ def keys(text):
     return re.findall(r"^@\w+\{([^,]+),", text, re.MULTILINE)
 
 
+@needs("remedies", "worlds")
 def test_every_paper_of_an_option_has_an_entry_and_every_entry_is_of_an_option():
     files = OptionFiles()
     cited = {paper for group in files.groups for option in files.options(group) for paper in files.cited(group, option)}

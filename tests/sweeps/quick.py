@@ -7,14 +7,14 @@ import sys
 from pathlib import Path
 
 from quadexp.parts.compose import expand
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.sweeps.cells import quick_cell
 
 SWEEP = ["trajectory.speed=2", "controller=nominal_mpc,perfect_mpc", "seed=0,1"]
 
 
 def fly(out, overrides=SWEEP, **options):
-    return run_sweep(expand(overrides), out, isolate=False, function=quick_cell, **options)
+    return run_sweep(expand(overrides), out, SweepRequest(isolate=False, function=quick_cell, **options))
 
 
 def contents(folder):
@@ -27,7 +27,7 @@ import os
 import sys
 from quadexp.errors import QuadexpError
 from quadexp.parts.compose import expand
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.sweeps import cells
 
 if __name__ == "__main__":
@@ -38,7 +38,9 @@ if __name__ == "__main__":
         engine, function = at(address), cells.slow_cell
     say = lambda done, total: print(done, flush=True)
     try:
-        run_sweep(expand(overrides), out, workers=2, function=function, engine=engine, progress=say)
+        run_sweep(
+            expand(overrides), out, SweepRequest(workers=2, function=function, engine=engine, progress=say)
+        )
     except QuadexpError as error:
         print("error:", error, flush=True)
         sys.exit(error.exit_code)

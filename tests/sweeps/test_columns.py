@@ -10,7 +10,7 @@ from quadexp.plugins.page.view import view
 from quadexp.report.frame import SweepFrame, setting_column
 from quadexp.report.pairing import condition_of, contestant_of
 from quadexp.report.tables import comparison_table
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.cli.command import run
 from tests.sweeps.cells import quick_cell
 from tests.sweeps.quick import fly
@@ -80,7 +80,9 @@ def test_tuned_remedies_of_two_searches_are_two_columns(tmp_path):
     bundle = "# @package _global_\ndefaults: [override /observer: wind, _self_]\ncontroller: {{nodes: {}}}\n"
     conf = written(tmp_path / "c", remedies__a=bundle.format(8), remedies__b=bundle.format(9))
     rows = run_sweep(
-        expand(["controller=nominal_mpc", "remedies=a,b"], conf), tmp_path / "r", isolate=False, function=quick_cell
+        expand(["controller=nominal_mpc", "remedies=a,b"], conf),
+        tmp_path / "r",
+        SweepRequest(isolate=False, function=quick_cell),
     ).rows
     assert {contestant_of(row).settings for row in rows} == {"remedies.option=a", "remedies.option=b"}
 

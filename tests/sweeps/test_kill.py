@@ -11,7 +11,7 @@ from pebble.pool.base_pool import PoolStatus
 from quadexp.log.cell_store import CellStore
 from quadexp.parts.compose import expand
 from quadexp.sweeps.engine import CellFailed, Workers
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.experiment.same import same_results
 from tests.plugins.cluster.dask_cluster import descendants
 from tests.sweeps import cells
@@ -25,7 +25,9 @@ GRID = ["seed=range(24)"]
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
-    return run_sweep(expand(GRID), tmp_path_factory.mktemp("r") / "r", function=cells.quick_cell, workers=2)
+    return run_sweep(
+        expand(GRID), tmp_path_factory.mktemp("r") / "r", SweepRequest(function=cells.quick_cell, workers=2)
+    )
 
 
 def gone(pids):
@@ -64,7 +66,7 @@ def test_the_driver_alone(tmp_path, undisturbed):
     left = len(CellStore(tmp_path / "r").done())
     assert 6 <= left <= 8
     (tmp_path / "r/counts").mkdir()
-    result = run_sweep(expand(GRID), tmp_path / "r", function=cells.quick_cell, workers=2)
+    result = run_sweep(expand(GRID), tmp_path / "r", SweepRequest(function=cells.quick_cell, workers=2))
     assert result.flown == 24 - left == len(list((tmp_path / "r/counts").iterdir()))
     same_results(undisturbed, result)
     assert not [name for name in files(tmp_path) if name.endswith((".tmp", ".lock"))]
@@ -82,7 +84,7 @@ def test_a_process_that_is_killed(tmp_path, undisturbed, seeds):
             killed.append(flying[0] if len(flying) == 1 else parent(flying[0]))
             os.kill(killed[0], signal.SIGKILL)
 
-    result = run_sweep(expand(GRID), tmp_path / "r", function=held, workers=2, progress=disturb)
+    result = run_sweep(expand(GRID), tmp_path / "r", SweepRequest(function=held, workers=2, progress=disturb))
     assert killed and [row["cause"] for row in result.not_flown] == []
     same_results(undisturbed, result)
     assert not [name for name in files(tmp_path) if name.endswith((".tmp", ".lock"))]

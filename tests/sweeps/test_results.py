@@ -12,7 +12,7 @@ from quadexp.log.store import read_metadata, read_table, write_table
 from quadexp.parts.compose import expand
 from quadexp.plugins.archive.verify import verify_results
 from quadexp.sweeps.results import prune, select
-from quadexp.sweeps.sweep import SweepInterrupted, run_sweep
+from quadexp.sweeps.sweep import SweepInterrupted, SweepRequest, run_sweep
 from tests.cli.command import run
 from tests.sweeps.cells import quick_cell
 from tests.sweeps.quick import kill, start, wait_for
@@ -145,7 +145,7 @@ def interrupted(out, overrides, flights, error=KeyboardInterrupt, **options):
         return quick_cell(*task)
 
     with pytest.raises((QuadexpError, KeyboardInterrupt, OSError)) as ended:
-        run_sweep(expand(overrides), out, function=cell, isolate=False, **options)
+        run_sweep(expand(overrides), out, SweepRequest(function=cell, isolate=False, **options))
     if error is KeyboardInterrupt:
         assert ended.type is SweepInterrupted and "what is done is kept" in str(ended.value)
     return CellStore(out).done()

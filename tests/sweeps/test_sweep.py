@@ -18,7 +18,7 @@ from quadexp.sweeps import sweep
 from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.plan import cell_key, flying_order, plan_cells
 from quadexp.sweeps.results import select
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.deleted import needs
 from tests.processes import processes
 from tests.sweeps import cells
@@ -34,7 +34,7 @@ def grid():
 
 def fly(grid, out, **options):
     """A sweep of cells that fly nothing, in this process; what processes do is tested apart."""
-    return run_sweep(grid, out, function=cells.quick_cell, isolate=False, **options)
+    return run_sweep(grid, out, SweepRequest(function=cells.quick_cell, isolate=False, **options))
 
 
 def key_of(config, inputs=()):
@@ -128,7 +128,7 @@ class TestSweep:
         """Found while composing (hover has no speed), while planning (a truth that cannot fly), and while its parts are
         built (a part of this test's own)."""
         asked = ["trajectory=circle,hover", "trajectory.speed=4", "truth.mass=1,9", "seed=0,1"]
-        result = run_sweep(expand(asked), tmp_path / "r", function=cells.contradicting_cell, workers=1)
+        result = run_sweep(expand(asked), tmp_path / "r", SweepRequest(function=cells.contradicting_cell, workers=1))
         found = {(r["trajectory"], r["variant"], r["seed"]): (r["outcome"], r["cause"]) for r in result.rows}
         assert len(found) == 8 and found.pop(("circle", "truth.mass=1", 0)) == ("ok", "")
         assert found.pop(("circle", "truth.mass=1", 1)) == ("invalid", "seed 1 does not go with this")
@@ -136,7 +136,7 @@ class TestSweep:
         assert all("no such key" in cause for (name, *_), (_, cause) in found.items() if name == "hover")
         assert all("no vehicle that can fly" in cause for (name, *_), (_, cause) in found.items() if name == "circle")
         assert "7 of 8 combinations are invalid and were not flown" in (tmp_path / "r" / "table.md").read_text()
-        again = run_sweep(expand(asked), tmp_path / "r", function=cells.contradicting_cell, workers=1)
+        again = run_sweep(expand(asked), tmp_path / "r", SweepRequest(function=cells.contradicting_cell, workers=1))
         assert [row["outcome"] for row in again.rows] == [row["outcome"] for row in result.rows] and again.flown == 1
         assert [row["outcome"] for row in select(tmp_path / "r", failures=True).rows] == ["invalid"] * 7
         assert not verify_results(tmp_path / "r").wrong
@@ -160,7 +160,7 @@ class TestPoison:
     def test_each_poisoned_cell_is_a_failed_row_and_the_rest_flies(self, tmp_path):
         grid = expand(["seed=range(8)"])
         engine = LocalEngine(2, timeout=15.0, memory=0.6)
-        result = run_sweep(grid, tmp_path / "r", function=cells.poisoned_cell, engine=engine)
+        result = run_sweep(grid, tmp_path / "r", SweepRequest(function=cells.poisoned_cell, engine=engine))
         assert [row["outcome"] for row in result.rows] == ["ok", *["failed"] * 5, "ok", "ok"]
         causes = [row["cause"] for row in result.rows]
         assert "died" in causes[1] and causes[2] == "ValueError: this seed does not work" and "longer" in causes[3]
@@ -169,7 +169,7 @@ class TestPoison:
         assert not [name for name in files(tmp_path) if name.endswith(".tmp")]
         assert len([name for name in files(tmp_path) if "cells/" in name]) == 3
         # The failed ones are tried again next time, and only they.
-        again = run_sweep(grid, tmp_path / "r", function=cells.quick_cell, workers=2)
+        again = run_sweep(grid, tmp_path / "r", SweepRequest(function=cells.quick_cell, workers=2))
         assert again.flown == 5 and not again.not_flown
 
 

@@ -10,14 +10,14 @@ from quadexp.parts.compose import expand
 from quadexp.plugins.page.report.sections import Page, worst_section
 from quadexp.plugins.page.report.source import read_comparison
 from quadexp.report.metrics import mean_error, position_error
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.cli.command import run
 
 CELLS = ["trajectory=random", "trajectory.speed=6", "controller=nominal_mpc,perfect_mpc", "controller.rate=60"]
 
 
 def fly(out, period):
-    return run_sweep(expand([*CELLS, f"evaluate.log_period={period}"]), out, isolate=False)
+    return run_sweep(expand([*CELLS, f"evaluate.log_period={period}"]), out, SweepRequest(isolate=False))
 
 
 def flights(out, rows):

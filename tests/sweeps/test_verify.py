@@ -127,4 +127,4 @@ def test_a_folder_of_other_things(tmp_path):
     with pytest.raises(UsageError, match="holds no results"):
         verify_results(tmp_path)
     code, _, err = run("results", tmp_path, "seed=0", "--verify")
-    assert code == 2 and "give it alone" in err
+    assert code == 2 and "give that alone" in err

@@ -14,7 +14,7 @@ from quadexp.errors import QuadexpError
 from quadexp.log.cell_store import CellStore
 from quadexp.parts.compose import expand
 from quadexp.parts.user_modules import own_folders
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.sweeps import cells
 from tests.sweeps.test_sweep import files
 
@@ -125,13 +125,13 @@ def test_children_have_the_path_and_the_environment_of_their_parent(monkeypatch,
 
 class TestRows:
     def test_a_row_of_another_program_is_refused_by_name_and_flown_again(self, tmp_path):
-        result = run_sweep(expand(["seed=0,1"]), tmp_path / "r", function=cells.foreign_cell, workers=1)
+        result = run_sweep(expand(["seed=0,1"]), tmp_path / "r", SweepRequest(function=cells.foreign_cell, workers=1))
         causes = {row["seed"]: row["cause"] for row in result.rows if row["outcome"] == "failed"}
         assert list(causes) == [1]
         assert causes[1].startswith("flown by quadexp 9.9.9, sources abcdef123456, not by this one (quadexp")
         assert provenance.sources() in causes[1]
         assert len(CellStore(tmp_path / "r").done()) == 1
-        again = run_sweep(expand(["seed=0,1"]), tmp_path / "r", function=cells.quick_cell, workers=1)
+        again = run_sweep(expand(["seed=0,1"]), tmp_path / "r", SweepRequest(function=cells.quick_cell, workers=1))
         assert again.flown == 1 and not again.not_flown
 
 
@@ -149,7 +149,7 @@ class TestDask:
         cluster.add_worker(PYTHONPATH=str(copy))
         try:
             with pytest.raises(QuadexpError, match="this worker has sources .*, the driver "):
-                run_sweep(expand([*SHORT, "seed=0"]), tmp_path / "r", engine=on(cluster))
+                run_sweep(expand([*SHORT, "seed=0"]), tmp_path / "r", SweepRequest(engine=on(cluster)))
         finally:
             cluster.stop()
         assert not [name for name in files(tmp_path / "r") if name.endswith(".parquet")]
@@ -167,7 +167,7 @@ class TestDask:
         cluster.add_worker(PYTHONPATH=f"{ROOT}{os.pathsep}{tmp_path / 'theirs'}")
         overrides = ["trajectory=mine", "controller.backend=interpreted", "plant.backend=interpreted", "seed=0"]
         try:
-            result = run_sweep(expand(overrides, tmp_path / "mine"), tmp_path / "r", engine=on(cluster))
+            result = run_sweep(expand(overrides, tmp_path / "mine"), tmp_path / "r", SweepRequest(engine=on(cluster)))
         finally:
             cluster.stop()
         (row,) = result.rows

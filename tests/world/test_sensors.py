@@ -28,6 +28,7 @@ from quadexp.world.stated_estimate import StatedEstimate
 from quadexp.world.streams import part_stream
 from quadexp.world.world import World
 from tests import paper
+from tests.deleted import needs
 from tests.models.residuals import with_rotors
 from tests.slow import slow
 from tests.world.airframes import REST, commands, ideal, sampled, start
@@ -370,6 +371,7 @@ class Looking(Compensation):
         return controller
 
 
+@needs("remedies", "laws")
 def test_a_remedy_is_given_the_data_sheet():
     config = replace(compose(["sensor=high", "controller=geometric"]), delay=Looking())
     vehicle = build_vehicle(config.vehicle)

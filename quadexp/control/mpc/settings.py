@@ -34,8 +34,8 @@ class MPCSettings(Settings):
     )
     input_hold: Literal["command", "deviation"] | None = key(
         None,
-        "what is constant in an interval: the command, or its deviation from the reference; null: the command, and"
-        " under delay=auto the deviation",
+        "what is constant in an interval: the command, or its deviation from the reference; null: the command, or"
+        " the deviation where what is around the controller plans so",
     )
     dead_time: float = key(
         0.0, "known delay of thrust, which is predicted; with any lag that motor_lag does not model", "[0, 0.5]", "s"

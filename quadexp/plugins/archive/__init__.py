@@ -2,8 +2,8 @@
 
 BRINGS = {
     "commands": {"archive": "quadexp.plugins.archive.command:archive"},
-    "services": {
-        "bibtex": "quadexp.plugins.archive.cite:bibtex",
-        "verify_results": "quadexp.plugins.archive.verify:verify_results",
+    "alternatives": {
+        "show --cite": "quadexp.plugins.archive.command:cite",
+        "results --verify": "quadexp.plugins.archive.command:verify",
     },
 }

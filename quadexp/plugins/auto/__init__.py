@@ -2,5 +2,6 @@
 
 BRINGS = {
     "parts": {"auto": "quadexp.plugins.auto.part"},
-    "services": {"beliefs": "quadexp.plugins.auto.beliefs", "restless": "quadexp.plugins.auto.restless:restless"},
+    "alternatives": {"show --beliefs": "quadexp.plugins.auto.commands:show_beliefs"},
+    "services": {"restless": "quadexp.plugins.auto.restless:restless"},
 }

@@ -4,4 +4,5 @@ BRINGS = {
     "commands": {"bench": "quadexp.plugins.bench.commands:bench"},
     "api": {"bench": "quadexp.plugins.bench.api:bench", "Leaderboard": "quadexp.plugins.bench.api:Leaderboard"},
     "tables": {"leaderboard": "quadexp.plugins.bench.api:Leaderboard"},
+    "reads": {"bench": "ENGINE", "bench --controller": "CONTROLLER"},
 }

@@ -9,18 +9,17 @@ acceleration           |f| = |a + g e_up| for one of the six directions of up
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadexp.log.runs import period_of
 from quadexp.physics.rotation import continuous
-from quadexp.physics.state import norms
+from quadexp.physics.state import norms, root_mean_square
 from quadexp.physics.vehicle import GRAVITY
 from quadexp.plugins.logs.column_names import Groups, groups
 from quadexp.plugins.logs.signal import increasing
-from quadexp.plugins.logs.signal.windows import Windows, changes, means, pairs, window_samples
+from quadexp.plugins.logs.signal.windows import attitude_rate, changes, means, weighted, window_samples
 
 MOTION = 0.85  # correlation from which a velocity is taken for the derivative of a position
 GRID = 100.0  # Hz
@@ -43,66 +42,78 @@ class Table:
     def __init__(self, names: Sequence[str], t: np.ndarray, data: np.ndarray, clock: int) -> None:
         """The middle of a log of columns (k, N) at times t (k,); empty cells are bridged."""
         later = increasing(t)
-        t, data = t[later], data[later]
+        t = t[later]
         named = groups(names)
-        data = _unbroken(data, named)
+        data = _unbroken(data[later], named)
         period = max(period_of(t), 1 / GRID)
-        length = min(t[-1] - t[0], MOST * period)
-        self.t = 0.5 * (t[0] + t[-1] - length) + np.arange(int(length / period) + 1) * period
-        self.x = np.full((len(self.t), data.shape[1]), np.nan)
+        samples = int(min(t[-1] - t[0], MOST * period) / period)
+        self.t = 0.5 * (t[0] + t[-1] - samples * period) + np.arange(samples + 1) * period
+        self.x = np.full((samples + 1, data.shape[1]), np.nan)
         for i, column in enumerate(data.T):
             good = np.isfinite(column)
             if good.sum() > 1:
                 self.x[:, i] = np.interp(self.t, t[good], column[good])
         rows = window_samples(self.t, np.ones(len(self.t), bool))
         self.times, self.windows = self.t[rows], self.x[rows]
-        self.means, self.slopes = means(self.times, self.windows), changes(self.times, self.windows)
-        usable = {i for i in range(len(names)) if i != clock and np.isfinite(self.x[:, i]).all()}
-        self.named = {q: [g for g in each if set(g) <= usable] for q, each in named.items()}
+        self.means = means(self.times, self.windows)
+        self.slopes = changes(self.times, self.windows)
+        self.named: Groups = {}
+        usable = np.isfinite(self.x).all(axis=0)
+        usable[clock] = False
+        for quantity, likely in named.items():
+            self.named[quantity] = [columns for columns in likely if usable[columns].all()]
 
     def attitude(self) -> list[int] | None:
         """Four columns that are a unit quaternion that moves."""
-        return next((columns for columns in self.named.get("attitude", []) if self._is_unit(columns)), None)
-
-    def _is_unit(self, columns: list[int]) -> bool:
-        x = self.x[:, columns]
-        norm = norms(x)
-        off = float(np.quantile(np.abs(norm - 1), 0.9))
-        return bool(off < 0.02 and norm.min() > 1e-3 and np.ptp(x, axis=0).max() > 1e-3)
+        for columns in self.named.get("attitude", []):
+            x = self.x[:, columns]
+            norm = norms(x)
+            unit = np.quantile(np.abs(norm - 1), 0.9) < 0.02 and norm.min() > 1e-3
+            if unit and np.ptp(x, axis=0).max() > 1e-3:
+                return columns
+        return None
 
     def derivative(self) -> tuple[list[int], Match] | None:
         """Three columns, and three that are their derivative; None where there are none."""
-        best, match = -np.inf, None
-        for (i, p), (k, v) in product(*(enumerate(self.named.get(name, [])) for name in ("position", "velocity"))):
-            slopes, means_ = self.slopes[:, p], self.means[:, v]
-            score = min(_correlation(a, b) for a, b in zip(slopes.T, means_.T, strict=True))
-            if score >= MOTION and score - 0.01 * (i + k) > best + 1e-3:
-                gain = float(np.sum(means_ * slopes) / np.sum(slopes**2))
-                best, match = score - 0.01 * (i + k), (p, Match(v, score, gain))
-        return match
+        matches = []
+        for i, p in enumerate(self.named.get("position", [])):
+            for k, v in enumerate(self.named.get("velocity", [])):
+                slope, mean = self.slopes[:, p], self.means[:, v]
+                alike = min(_correlation(slope[:, axis], mean[:, axis]) for axis in range(3))
+                if alike >= MOTION:
+                    gain = float(np.sum(mean * slope) / np.sum(slope**2))
+                    matches.append((round(alike - 0.01 * (i + k), 3), p, Match(v, alike, gain)))
+        if not matches:
+            return None
+        _, position, velocity = max(matches, key=_first)
+        return position, velocity
 
     def rate(self, q: np.ndarray) -> Match | None:
         """The gyro's columns, by how fast an attitude (n, l, 4) turns, in whatever order it is."""
-        (pair,) = pairs(Windows(self.times, {"q": q, "w": np.zeros((*q.shape[:2], 3))}))
-        return self._best("rate", [norms(pair.expected)])
+        turning = weighted(self.times, attitude_rate(self.times, q))
+        return self._best("rate", [norms(turning)])
 
     def acceleration(self, motion: np.ndarray | None) -> Match | None:
         """The accelerometer's columns. motion: acceleration in the log's world, (2n, 3); None: unknown."""
         still = np.zeros((len(self.means), 3)) if motion is None else motion
-        ups = (sign * axis for axis in np.eye(3) for sign in (1.0, -1.0))
-        return self._best("acceleration", [norms(still + GRAVITY * up) for up in ups])
+        ups = GRAVITY * np.vstack([np.eye(3), -np.eye(3)])
+        return self._best("acceleration", [norms(still + up) for up in ups])
 
     def _best(self, quantity: str, expected: list[np.ndarray]) -> Match | None:
         """The columns named so whose size correlates best with one of the expected sizes, (2n,)."""
         matches = []
         for rank, columns in enumerate(self.named.get(quantity, [])):
-            x = norms(self.means[:, columns])
-            if np.ptp(self.x[:, columns], axis=0).min() == 0:
-                continue
-            for y in expected:
-                gain = float(np.sqrt(np.mean(x * x) / max(float(np.mean(y * y)), 1e-12)))
-                matches.append((rank, Match(columns, _correlation(x, y), gain)))
-        return max(matches, key=lambda each: each[1].correlation - 0.002 * each[0], default=(0, None))[1]
+            size = norms(self.means[:, columns])
+            if np.ptp(self.x[:, columns], axis=0).min() > 0:
+                for y in expected:
+                    alike = _correlation(size, y)
+                    gain = root_mean_square(size) / max(root_mean_square(y), 1e-6)
+                    matches.append((alike - 0.002 * rank, Match(columns, alike, gain)))
+        return max(matches, key=_first)[1] if matches else None
+
+
+def _first(match: tuple[Any, ...]) -> float:
+    return match[0]
 
 
 def _unbroken(data: np.ndarray, named: Groups) -> np.ndarray:
@@ -112,8 +123,7 @@ def _unbroken(data: np.ndarray, named: Groups) -> np.ndarray:
         good = np.isfinite(data[:, columns]).all(axis=1)
         data[np.ix_(good, columns)] = continuous(data[np.ix_(good, columns)])
     for columns in named.get("euler", []):
-        angles = data[:, columns]
-        turn = 360.0 if np.nanmax(np.abs(angles), initial=0.0) > 6.4 else 2 * np.pi
+        turn = 360.0 if np.nanmax(np.abs(data[:, columns]), initial=0.0) > 6.4 else 2 * np.pi
         for column in columns:
             good = np.isfinite(data[:, column])
             data[good, column] = np.unwrap(data[good, column], period=turn)
@@ -122,5 +132,6 @@ def _unbroken(data: np.ndarray, named: Groups) -> np.ndarray:
 
 def _correlation(x: np.ndarray, y: np.ndarray) -> float:
     """Of x and y, (n,); 0 where one does not move."""
-    both = float(np.std(x) * np.std(y))
-    return float(np.mean((x - x.mean()) * (y - y.mean()))) / both if both > 0 else 0.0
+    if np.std(x) == 0 or np.std(y) == 0:
+        return 0.0
+    return float(np.corrcoef(x, y)[0, 1])

@@ -9,6 +9,8 @@ from typing import Annotated, Any
 from quadexp.cli.command import Answer, Ask, Conf, command
 
 HEADING = "Learn"
+FIELDS = ("severity", "name", "where", "measured", "allowed", "advice")
+TEXTS = frozenset(range(1 + len(FIELDS)))  # columns that are set to the left
 
 
 @command
@@ -30,46 +32,47 @@ def check(
     from quadexp.plugins.check import requests
     from quadexp.report.table import Table
 
-    names = ("severity", "name", "where", "measured", "allowed", "advice")
     stops = {"blocking", "warning"} if strict else {"blocking"}
     checked = requests.check(flights, vehicle, conf)
     drawn = _draw(figures, checked) if figures is not None else {}
     records: list[dict[str, Any]] = []
     lines: list[Any] = []
-    blocked = 0
+    rows: list[list[str]] = []
     for flight in checked:
-        stopped = not stops.isdisjoint(flight.severities)
-        blocked += stopped
         records.append({
             "path": flight.path, "rows": len(flight.flight), "duration": flight.duration, "vehicle": flight.vehicle,
-            "blocked": stopped, "findings": [finding.record() for finding in flight.findings],
-            "figure": drawn.get(flight.path),
+            "blocked": not stops.isdisjoint(flight.severities),
+            "findings": [finding.record() for finding in flight.findings], "figure": drawn.get(flight.path),
         })  # fmt: skip
         title = f"{flight.path}: {len(flight.flight)} rows, {flight.duration:.1f} s"
-        cells = [[getattr(finding, name) for name in names] for finding in flight.findings]
-        lines += [Table(names, cells, title, left=frozenset(range(6)))] if cells else [title, "  nothing found"]
-        lines += [f"  {drawn[flight.path]}", ""] if flight.path in drawn else [""]
+        cells = [[getattr(finding, name) for name in FIELDS] for finding in flight.findings]
+        rows += [[flight.path, *cell] for cell in cells]
+        lines += [Table(FIELDS, cells, title, left=TEXTS)] if cells else [title, "  nothing found"]
+        if flight.path in drawn:
+            lines.append(f"  {drawn[flight.path]}")
+        lines.append("")
+    blocked = sum(record["blocked"] for record in records)
     clean = sum(flight.severities <= {"info"} for flight in checked)
     warned, stopping = (sum(name in flight.severities for flight in checked) for name in ("warning", "blocking"))
     count = "1 flight" if len(checked) == 1 else f"{len(checked)} flights"
     lines.append(f"{count}: {clean} clean, {warned} with warnings, {stopping} blocked")
     by = " (--strict)" if strict else ""
     failed = [f"{blocked} of {len(checked)} flights have findings that block{by}"] if blocked else []
-    findings = [(flight.path, finding) for flight in checked for finding in flight.findings]
-    cells = [[path, *(getattr(finding, name) for name in names)] for path, finding in findings]
-    table = Table(("flight", *names), cells, left=frozenset(range(7)))
+    table = Table(("flight", *FIELDS), rows, left=TEXTS)
     return Answer({"flights": records, "blocked": blocked, "strict": strict}, [table], lines, failed=failed)
 
 
 def _draw(folder: Path, checked: Sequence[Any]) -> dict[str, Path]:
+    """A figure a flight, under names that differ."""
     from quadexp.plugins.check.figures import consistency_figure
     from quadexp.plugins.drawing.style import save
 
     drawn: dict[str, Path] = {}
     for flight in checked:
         stem = Path(flight.path).stem
-        more = (f"{stem}_{k}" for k in range(2, len(checked) + 2))
-        names = (stem, f"{Path(flight.path).parent.name}_{stem}", *more)
-        file = next(folder / f"{name}.png" for name in names if folder / f"{name}.svg" not in drawn.values())
-        drawn[flight.path] = save(consistency_figure(stem, flight.flight, flight.findings), file)
+        name = stem
+        for other in (f"{Path(flight.path).parent.name}_{stem}", *(f"{stem}_{k + 2}" for k in range(len(checked)))):
+            if folder / f"{name}.svg" in drawn.values():
+                name = other
+        drawn[flight.path] = save(consistency_figure(stem, flight.flight, flight.findings), folder / f"{name}.png")
     return drawn

@@ -35,19 +35,21 @@ def check_duplicates(flights: Mapping[str, Flight]) -> dict[str, list[Finding]]:
     seen: dict[str, _Flown] = {}
     for name, flight in flights.items():
         flown = _flown(flight)
-        twin = next(((other, same) for other, earlier in seen.items() if (same := _same(flown, earlier))), None)
-        if twin is None:
+        for other, earlier in seen.items():
+            same = _same(flown, earlier)
+            if same:
+                where = f"all samples, {flight.t[0]:.2f}..{flight.t[-1]:.2f} s" if len(flight) else "all samples"
+                advice = f"leave it out, or keep it on the same side of a split as {other}"
+                findings[name] = [Finding("duplicate", "blocking", where, f"{same} {other}", f"{SHARE:.0%}", advice)]
+                break
+        else:
             seen[name] = flown
-            continue
-        other, same = twin
-        where = f"all samples, {flight.t[0]:.2f}..{flight.t[-1]:.2f} s" if len(flight) else "all samples"
-        advice = f"leave it out, or keep it on the same side of a split as {other}"
-        findings[name] = [Finding("duplicate", "blocking", where, f"{same} {other}", f"{SHARE:.0%}", advice)]
     return findings
 
 
 def _flown(flight: Flight) -> _Flown:
-    streams, record = streams_of(flight), flight.metadata
+    streams = streams_of(flight)
+    record = flight.metadata
     columns = [column for values in streams.values() for column in values.T]
     samples = np.unique(row_numbers(columns)) if columns else np.empty(0, np.uint64)
     config = "" if record.get("recorded") else str(record.get("provenance", {}).get("config_hash", ""))

@@ -1,4 +1,4 @@
-"""What a flight says of its rotors and battery: commands in range, order and spin, a voltage that batteries have.
+"""What a flight says of the order and the spin of its rotors.
 
     J w' + w x J w = sum_i (r_i x e_z + c_tau s_i e_z) u_i        w: gyro; u_i: signal of rotor i as a thrust
 
@@ -16,34 +16,22 @@ from itertools import permutations
 
 import numpy as np
 
-from quadexp.log.runs import longest, period_of, runs
+from quadexp.log.runs import period_of, runs
 from quadexp.log.schema import Flight
-from quadexp.names import distinct
 from quadexp.physics.state import finite_rows, norms, root_mean_square
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.logs.finding import Finding, of_rows
-from quadexp.plugins.logs.samples import rotor_columns
-from quadexp.plugins.logs.units import ELECTRICAL, UNITS
+from quadexp.plugins.check.signals import command_columns, signal_kind
+from quadexp.plugins.logs.finding import Finding
+from quadexp.plugins.logs.signal.windows import STREAMS
 
-# Of commands and battery:
-ROUNDING = 0.005  # of the range: what quantisation and resampling may add
-SATURATED = 0.05  # share of the samples of one rotor
-STANDS = 0.01  # m, m/s: what motion capture makes of a vehicle that stands
-CELL = (2.5, 4.45)  # V: of a lithium cell, empty and full
-MOST_CELLS = 14  # in series: 60 V
-ONE_CELL_MASS = 0.25  # kg: heavier vehicles fly on two cells or more
-FASTEST_ROTOR = 1e4  # rad/s: 95 000 rpm, above any propeller drive
-FASTEST_MEDIAN = 4e3  # rad/s: 38 000 rpm
-HOVER_RANGE = 2.5  # thrust goes with its square: a sixth of the hover's to six times
-SLOW = 3.0  # times below the least median speed: certainly another unit
-RADIUS = (0.35, 0.5)  # of a rotor over the distance to its neighbour
-SPEED_OF_SOUND, AIR_DENSITY = 340.0, 1.2  # m/s, kg/m^3
-LARGEST_THRUST_COEFFICIENT = 0.05  # of a rotor: T / (rho A (w r)^2)
-# Of order and spin:
 RATE = 50.0  # Hz: of the fit
 BAND = 6.0  # Hz: vehicles turn up to there, vibration shakes above
 SLOWEST = 0.3  # Hz: trims and drift are slower
 LAGS = np.arange(0.0, 0.125, 0.01)  # s: motors and filters are late by up to this
+FASTEST = 500.0  # Hz: logs above are thinned
+SLOWEST_LOG = 0.03  # s a sample
+GAP = 5.0  # periods
+LEAST_SAMPLES = 20  # of a stretch
 LEAST_SECONDS = 4.0  # s of motion at least, else nothing is said
 EXPLAINS = 0.3  # of an axis' variance that the best order must explain
 MARGIN = 0.15  # of the variance, by which it must beat the order given, and the next best
@@ -51,146 +39,6 @@ RANK = 0.05  # of the largest singular value: directions in which the rotors did
 MOST_ROWS = 15_000  # thinned evenly beyond, as every order of the rotors is tried on them
 
 
-def command_columns(flight: Flight) -> dict[str, list[str]]:
-    """Columns of rotor signals by kind, in rotor order."""
-    every = {kind: rotor_columns(flight, kind) for kind in ("motor_command", "u", "rotor_speed")}
-    return {kind: names for kind, names in every.items() if names}
-
-
-def limits(kind: str, vehicle: Vehicle | None) -> tuple[float, float, str] | None:
-    """Least and largest value that a rotor signal may have, and its unit; None where it is unknown."""
-    if kind == "motor_command":
-        return 0.0, 1.0, ""
-    if kind == "rotor_speed":
-        fastest = FASTEST_ROTOR
-        if vehicle is not None and vehicle.thrust_coefficient:
-            fastest = 1.5 * float(np.sqrt(vehicle.thrust_max / vehicle.thrust_coefficient))
-        return 0.0, fastest, " rad/s"
-    return None if vehicle is None else (vehicle.thrust_min, vehicle.thrust_max, " N")
-
-
-def check_commands(flight: Flight, vehicle: Vehicle | None) -> tuple[list[Finding], np.ndarray]:
-    """Commands out of range and saturation; and the samples with a command out of its range, (k,)."""
-    findings, impossible = [], np.zeros(len(flight), bool)
-    for kind, names in command_columns(flight).items():
-        allowed = limits(kind, vehicle)
-        values = flight.stack(names).astype(float)
-        if allowed is None or not np.isfinite(values).any():
-            continue
-        low, high, unit = allowed
-        finite = np.where(np.isfinite(values), values, low)
-        slack = ROUNDING * (high - low)
-        outside = (finite < low - slack) | (finite > high + slack)
-        if outside.any():
-            mask, of_rotor = np.asarray(outside.any(axis=1)), np.asarray(outside.any(axis=0))
-            impossible |= mask
-            columns = " ".join(name for name, bad in zip(names, of_rotor, strict=True) if bad)
-            text = f"{finite[outside].min():.4g} to {finite[outside].max():.4g}{unit} in {mask.sum()} samples"
-            between = f"{low:g}..{high:.4g}{unit}"
-            findings.append(of_rows("impossible_command", "blocking", columns, longest(mask), flight.t, text, between))
-        share = (finite >= high - 2e-3 * (high - low)).mean(axis=0)
-        if kind != "rotor_speed" and share.max() > 0:
-            k = int(np.argmax(share))
-            severity = "warning" if share[k] > SATURATED else "info"
-            text = f"{share[k]:.2%} of the samples at full command"
-            findings.append(Finding("saturation", severity, names[k], text, f"{SATURATED:.0%}"))
-    return findings, impossible
-
-
-def check_rotor_unit(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
-    """Whether rotor speeds are in rad/s: against the speed at which the vehicle hovers where its thrust coefficient is
-    known, else against the speed of sound and what a blade can lift, by the size that rotors beside each other leave.
-    """
-    names = command_columns(flight).get("rotor_speed", [])
-    values = np.abs(flight.stack(names).astype(float)) if names else np.zeros((0, 1))
-    turning = values[np.isfinite(values) & (values > 0.2 * np.nanmax(values, initial=0.0))]
-    if not len(turning):
-        return []
-    speed = float(np.median(turning))
-    low, high = plausible_speeds(vehicle)
-    if low <= speed <= high:
-        return []
-    middle = np.sqrt(max(low, high / 100) * high)
-    factors = {
-        unit: factor for unit, factor in UNITS["rotor_speed"].items() if unit not in ("rad/s", "deg/s", ELECTRICAL)
-    }
-    fitting = [unit for unit, factor in factors.items() if low <= speed * factor <= high]
-    unit = min(fitting, key=lambda name: abs(np.log(speed * factors[name] / middle)), default="")
-    severity = "warning" if low / SLOW < speed < low else "blocking"  # a slow rotor may be larger than it is taken for
-    text = f"median {speed:.4g} rad/s"
-    allowed = f"{low:.3g} to {high:.3g} rad/s" + ("" if vehicle is None else f" of {vehicle.name}")
-    if not unit:
-        advice = "state the unit of rotor_speed (rpm, Hz, krpm, erpm with pole_pairs) in the mapping"
-        return [Finding("units", severity, "rotor_speed_*", text, allowed, advice)]
-    lines = {"rotor_speed": {"unit": unit}}
-    advice = f"correct the mapping of the import: `rotor_speed: {{unit: {unit}}}`"
-    return [Finding("units", severity, "rotor_speed_*", f"{text}: {unit}", allowed, advice, correction=lines)]
-
-
-def plausible_speeds(vehicle: Vehicle | None) -> tuple[float, float]:
-    """Least and largest median speed of the rotors of a flight (rad/s).
-
-    With a thrust coefficient k: the hover's, sqrt(m g / (n k)), over and times HOVER_RANGE. Else tips slower than
-    sound, and faster than sqrt(T / (C_T rho pi r^2)) with the largest C_T of a rotor; r between RADIUS times the
-    distance of neighbouring rotors.
-    """
-    if vehicle is None:
-        return 0.0, FASTEST_MEDIAN
-    weight = vehicle.mass * vehicle.gravity / vehicle.n_rotors
-    if vehicle.thrust_coefficient:
-        hover = float(np.sqrt(weight / vehicle.thrust_coefficient))
-        return hover / HOVER_RANGE, hover * HOVER_RANGE
-    places = np.array(vehicle.rotor_position, float)
-    apart = np.linalg.norm(places[:, None] - places[None], axis=-1) + 1e9 * np.eye(len(places))
-    small, large = (share * float(apart.min()) for share in RADIUS)
-    lifting = float(np.sqrt(weight / (LARGEST_THRUST_COEFFICIENT * AIR_DENSITY * np.pi * large**2))) / large
-    return lifting, SPEED_OF_SOUND / small
-
-
-def check_voltage(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
-    """Whether the voltage is that of a lithium battery, and of one for a vehicle of this mass."""
-    if "battery_voltage" not in flight.columns:
-        return []
-    values = flight["battery_voltage"][np.isfinite(flight["battery_voltage"])]
-    middle = float(np.median(values)) if len(values) else 0.0
-    least = 1 if vehicle is None or vehicle.mass < ONE_CELL_MASS else 2
-    if least * CELL[0] <= middle <= MOST_CELLS * CELL[1]:
-        return []
-    allowed = f"{CELL[0]:g} to {CELL[1]:g} V a cell, {least} to {MOST_CELLS} cells"
-    if not middle > 0:
-        text = f"median {middle:.3g} V: not measured"
-        return [Finding("implausible_voltage", "warning", "battery_voltage", text, allowed)]
-    advice = "state the unit of battery_voltage (V, dV, cV, mV) in the mapping"
-    return [Finding("implausible_voltage", "blocking", "battery_voltage", f"median {middle:.3g} V", allowed, advice)]
-
-
-def check_flown(flight: Flight, streams: dict[str, np.ndarray], vehicle: Vehicle | None) -> list[Finding]:
-    """Whether there is a flight in the file."""
-    reasons, spread, fastest = [], 0.0, 0.0
-    signals = command_columns(flight)
-    for kind, names in signals.items():
-        values = np.nan_to_num(flight.stack(names).astype(float))
-        weight = 0.0 if vehicle is None else vehicle.mass * vehicle.gravity / len(names)
-        if np.median(values) > max({"u": 0.2 * weight, "motor_command": 0.05, "rotor_speed": 1.0}[kind], 1e-6):
-            return []
-        reasons.append(f"{kind}_* at {np.quantile(values, 0.99):.3g}")
-    if "p" in streams:
-        spread = float(np.nanmax(np.ptp(np.nanquantile(streams["p"], [0.01, 0.99], axis=0), axis=0)))
-        reasons.append(f"position within {spread:.2g} m")
-    if "v" in streams:
-        fastest = float(np.nanquantile(norms(streams["v"]), 0.99))
-        reasons.append(f"speed to {fastest:.2g} m/s")
-    if spread >= 0.1 or fastest >= 0.15 or not reasons:
-        return []
-    if not signals and "w" in streams and float(np.nanstd(streams["w"])) > 0.02:
-        return []  # a hover without motor signals: rotors shake the gyro
-    text = f"{', '.join(reasons)} over {flight.t[-1] - flight.t[0]:.1f} s"
-    hovers = not signals and spread > STANDS and ("v" not in streams or fastest > STANDS)
-    severity = "warning" if hovers else "blocking"  # a hover seen by motion capture alone may look like that
-    return [Finding("no_flight", severity, "all samples", text, "motors running or motion", "leave the file out")]
-
-
-# ------------------------------------------------------------------------------------------------------ order and spin
 @dataclass(frozen=True)
 class Motion:
     """torque: J w' + w x J w, thrust: of every rotor (any scale) at each lag: (k, 3), (lags, k, n); no means."""
@@ -223,11 +71,6 @@ class Verdict:
         return bool(other and self.sure and self.best[:2].mean() - self.given[:2].mean() > MARGIN)
 
 
-def signal_kind(flight: Flight) -> str:
-    """Which of the flight's rotor signals is used."""
-    return next((name for name in ("rotor_speed", "u", "motor_command") if name in command_columns(flight)), "")
-
-
 def motion_of(
     flight: Flight, vehicle: Vehicle, w: np.ndarray | None = None, bad: np.ndarray | None = None
 ) -> Motion | None:
@@ -237,26 +80,32 @@ def motion_of(
     """
     kind = signal_kind(flight)
     names = command_columns(flight).get(kind, [])
-    if len(names) != vehicle.n_rotors or (w is None and not {"w_x", "w_y", "w_z"} <= set(flight.columns)):
+    if len(names) != vehicle.n_rotors or (w is None and not {*STREAMS["w"]} <= flight.columns.keys()):
         return None
     t = np.asarray(flight.t, float)
-    w = flight.stack(["w_x", "w_y", "w_z"]).astype(float) if w is None else w
+    w = flight.stack(STREAMS["w"]).astype(float) if w is None else w
     u = flight.stack(names).astype(float)
     good = np.isfinite(t) & finite_rows(w) & finite_rows(u)
-    good &= True if bad is None else ~bad
-    u = np.clip(u, 0.0, np.quantile(u[good], 0.999) if good.any() else 0.0) ** (1 if kind == "u" else 2)
-    segment = np.asarray(flight.columns.get("segment", np.zeros(len(t))))
-    parts = []
-    for start, stop in runs(good):
-        step = np.diff(t[start:stop])
-        usual = np.median(step[step > 0]) if (step > 0).any() else 1.0
-        breaks = (step <= 0) | (step > 5 * usual) | (np.diff(segment[start:stop]) != 0)
-        for part in np.split(np.arange(start, stop), np.flatnonzero(breaks) + 1):
-            parts.append(stretch(t[part], w[part], u[part], vehicle.inertia_matrix))
-    known = [part for part in parts if part is not None]
-    if sum(len(torque) for torque, _ in known) < LEAST_SECONDS * RATE:
+    if bad is not None:
+        good &= ~bad
+    if not good.any():
         return None
-    torques, thrusts = zip(*known, strict=True)
+    thrust = np.clip(u, 0.0, np.quantile(u[good], 0.999)) ** (1 if kind == "u" else 2)
+    step = np.diff(t)
+    onward = good[1:] & good[:-1] & (step > 0)
+    onward &= step < GAP * np.median(step[step > 0])
+    if "segment" in flight.columns:
+        onward &= np.diff(flight["segment"]) == 0
+    torques = []
+    thrusts = []
+    for start, stop in runs(onward):
+        part = slice(start, stop + 1)
+        told = stretch(t[part], w[part], thrust[part], vehicle.inertia_matrix)
+        if told is not None:
+            torques.append(told[0])
+            thrusts.append(told[1])
+    if sum(map(len, torques)) < LEAST_SECONDS * RATE:
+        return None
     return Motion(np.concatenate(torques), np.concatenate(thrusts, axis=1))
 
 
@@ -267,53 +116,61 @@ def stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, J: np.ndarray) -> tuple
     """
     from scipy.ndimage import gaussian_filter1d
 
-    if len(t) < 20 or t[-1] - t[0] < 1 / SLOWEST or period_of(t) > 0.03:
+    if len(t) < LEAST_SAMPLES or t[-1] - t[0] < 1 / SLOWEST or period_of(t) > SLOWEST_LOG:
         return None
-    fine = max(RATE, min(1 / period_of(t), 500.0))
-    grid = np.arange(t[0], t[-1], 1 / fine)
-    scale = np.sqrt(np.log(2)) / (2 * np.pi) * fine
+    rate = np.clip(1 / period_of(t), RATE, FASTEST)
+    grid = np.arange(t[0], t[-1], 1 / rate)
+    scale = np.sqrt(np.log(2)) / (2 * np.pi) * rate  # over frequency: of a Gaussian 3 dB down there, in samples
+
+    def smooth(x: np.ndarray) -> np.ndarray:
+        return gaussian_filter1d(x, scale / BAND, axis=0)
 
     def band(x: np.ndarray) -> np.ndarray:
-        smooth = gaussian_filter1d(x, scale / BAND, axis=0)
-        return smooth - gaussian_filter1d(smooth, scale / SLOWEST, axis=0)
+        return smooth(x) - gaussian_filter1d(smooth(x), scale / SLOWEST, axis=0)
 
-    def at(x: np.ndarray, lag: float = 0.0) -> np.ndarray:
-        return np.column_stack([np.interp(grid - lag, t, column) for column in x.T])
+    def at(times: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return np.column_stack([np.interp(times, t, column) for column in x.T])
 
-    rate = at(w)
-    smooth = gaussian_filter1d(rate, scale / BAND, axis=0)
-    torque = band(np.gradient(rate, grid, axis=0)) @ J + band(np.cross(smooth, smooth @ J))
-    edge = int(0.2 * fine)
-    kept = slice(edge, len(grid) - edge, max(1, round(fine / RATE)))
-    if len(grid[kept]) < 20:
+    turning = at(grid, w)
+    slow = smooth(turning)
+    torque = band(np.gradient(turning, grid, axis=0)) @ J + band(np.cross(slow, slow @ J))
+    thrust = np.stack([band(at(grid - lag, u)) for lag in LAGS])
+    edge = int(0.2 * rate)
+    kept = slice(edge, len(grid) - edge, max(1, round(rate / RATE)))
+    torque, thrust = torque[kept], thrust[:, kept]
+    if len(torque) < LEAST_SAMPLES:
         return None
-    thrust = np.stack([band(at(u, lag))[kept] for lag in LAGS])
-    return torque[kept] - torque[kept].mean(axis=0), thrust - thrust.mean(axis=1, keepdims=True)
+    return torque - torque.mean(axis=0), thrust - thrust.mean(axis=1, keepdims=True)
 
 
 def judge(motions: Sequence[Motion], vehicle: Vehicle) -> Verdict | None:
     """The order and spin that fit flights of one vehicle best; None where they tell too little."""
-    # a thrust has another scale in every flight (battery), the same for all rotors
-    scales = [1 / max(root_mean_square(motion.thrust[0]), 1e-12) for motion in motions]
     torque = np.concatenate([motion.torque for motion in motions])
-    thrust = np.concatenate([s * motion.thrust for s, motion in zip(scales, motions, strict=True)], axis=1)
+    scaled = []
+    for motion in motions:  # a thrust has another scale in every flight (battery), the same for all rotors
+        scaled.append(motion.thrust / max(root_mean_square(motion.thrust[0]), 1e-12))
+    thrust = np.concatenate(scaled, axis=1)
     seconds = len(torque) / RATE
-    part = slice(None, None, max(1, len(torque) // MOST_ROWS))
-    if seconds < LEAST_SECONDS or not (np.mean(torque[part] ** 2, axis=0) > 0).all():
+    thinned = slice(None, None, max(1, len(torque) // MOST_ROWS))
+    if seconds < LEAST_SECONDS or not torque[thinned].any(axis=0).all():
         return None
-    fit, pattern, n = Fit(torque[part], thrust[:, part]), vehicle.allocation[1:], vehicle.n_rotors
-    orders = list(permutations(range(n))) if n <= 4 else _matched(fit, pattern)
-    shares = {order: fit.explained(_reordered(pattern, order)) for order in orders}
-    tilt = {order: float(share[:2].mean()) for order, share in shares.items()}
+    fit = Fit(torque[thinned], thrust[:, thinned])
+    pattern = vehicle.allocation[1:]
+    n = vehicle.n_rotors
     stated = tuple(range(n))
-    order = max(orders, key=lambda each: tilt[each] + 1e-9 * (each == stated))
-    rest = [value for other, value in tilt.items() if other != order]
-    clear = n > 4 or not rest or tilt[order] - max(rest) > MARGIN
-    against = fit.explained(-_reordered(pattern, order))[2]
+    shares: dict[tuple[int, ...], np.ndarray] = {stated: fit.explained(pattern)}
+    for order in permutations(range(n)) if n <= 4 else _matched(fit, pattern):
+        shares[order] = fit.explained(_reordered(pattern, order))
+    tilt = {order: float(share[:2].mean()) for order, share in shares.items()}
+    order = max(tilt, key=tilt.__getitem__)  # of equals the one stated, which is the first
+    next_best = max((value for other, value in tilt.items() if other != order), default=-np.inf)
+    clear = n > 4 or tilt[order] - next_best > MARGIN
     best = shares[order].copy()
-    spin = int(np.sign(best[2] - against)) if abs(best[2] - against) > MARGIN else 0
-    best[2] = max(best[2], against)
-    return Verdict(order, spin, fit.explained(pattern), best, clear, seconds, len(motions))
+    opposite = fit.explained(-_reordered(pattern, order))[2]
+    lead = best[2] - opposite
+    spin = int(np.sign(lead)) if abs(lead) > MARGIN else 0
+    best[2] = max(best[2], opposite)
+    return Verdict(order, spin, shares[stated], best, clear, seconds, len(motions))
 
 
 def _reordered(pattern: np.ndarray, order: Sequence[int]) -> np.ndarray:
@@ -338,28 +195,28 @@ class Fit:
         share = np.where(along > 0, along**2 / np.maximum(size, 1e-300), 0.0) / self.power
         return share.max(axis=0)
 
-    def columns(self) -> tuple[np.ndarray, np.ndarray]:
-        """Torque of each rotor's signal, (3, n), by regression at the lag that explains most, and the share of each
-        axis' variance that it explains, (3,); directions in which the rotors hardly moved are left out."""
-        fits = []
-        for cross, gram in zip(self.cross, self.gram, strict=True):
-            columns = cross @ np.linalg.pinv(gram, rcond=RANK**2, hermitian=True)
-            fits.append((columns, np.sum(columns * cross, axis=1) / self.power))
-        return max(fits, key=lambda fit: fit[1].mean())
+    def columns(self) -> np.ndarray:
+        """Torque of each rotor's signal, (3, n), by regression at the lag that explains most; directions in which the
+        rotors hardly moved are left out."""
+        fits = self.cross @ np.linalg.pinv(self.gram, rcond=RANK**2, hermitian=True)
+        shares = np.sum(fits * self.cross, axis=2) / self.power
+        return fits[shares.mean(axis=1).argmax()]
 
 
 def _matched(fit: Fit, pattern: np.ndarray) -> list[tuple[int, ...]]:
-    """The order given and the one whose columns a regression comes nearest to, with either spin."""
+    """The orders whose columns a regression comes nearest to, with either spin, and whatever the spin."""
     from scipy.optimize import linear_sum_assignment
 
-    fitted, wanted = (
-        x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300) for x in (fit.columns()[0], pattern)
-    )
-    orders = [tuple(range(pattern.shape[1]))]
+    fitted = _unit_rows(fit.columns())
+    orders = []
     for yaw in (1.0, -1.0, 0.0):
-        likeness = (wanted * np.array([[1.0], [1.0], [yaw]])).T @ fitted
-        orders.append(tuple(int(i) for i in linear_sum_assignment(-likeness)[1]))
-    return distinct(orders)
+        likeness = (_unit_rows(pattern) * np.array([[1.0], [1.0], [yaw]])).T @ fitted
+        orders.append(tuple(linear_sum_assignment(likeness, maximize=True)[1].tolist()))
+    return orders
+
+
+def _unit_rows(x: np.ndarray) -> np.ndarray:
+    return x / np.maximum(norms(x), 1e-300)[:, None]
 
 
 def rotor_findings(verdict: Verdict | None, kind: str, vehicle: Vehicle) -> list[Finding]:
@@ -370,16 +227,16 @@ def rotor_findings(verdict: Verdict | None, kind: str, vehicle: Vehicle) -> list
     over = f"over {verdict.seconds:.0f} s" + (f" of {verdict.flights} flights" if verdict.flights > 1 else "")
     findings = []
     if verdict.wrong_order:
-        stated, best = ((f"roll {x[0]:.0%}, pitch {x[1]:.0%}") for x in (verdict.given, verdict.best))
+        stated, best = (f"roll {share[0]:.0%}, pitch {share[1]:.0%}" for share in (verdict.given, verdict.best))
         order = ", ".join(map(str, verdict.order))
         text = f"in the order of {vehicle.name} the rotors explain {stated} of the angular acceleration {over};"
         text += f" with the columns {order} as rotors 0, 1, ...: {best}"
+        severity = "blocking" if verdict.clear else "warning"
         advice = "give the `layout` of the log's motors in the mapping"
         if verdict.clear:
             advice += f", or its columns in the order {order}"
         else:
             text += ", but others come near"
-        severity = "blocking" if verdict.clear else "warning"
         findings.append(Finding("rotor_order", severity, where, text, f"{MARGIN:.0%} less than another order", advice))
     if verdict.spin < 0:
         text = f"the yaw acceleration is opposite to what {vehicle.name}'s rotors say {over}"

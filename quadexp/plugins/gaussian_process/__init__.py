@@ -1,3 +1,8 @@
 """Gaussian processes as a model of the air."""
 
-BRINGS = {"models": {"gaussian_process": "quadexp.plugins.gaussian_process.gaussian_process"}}
+BRINGS = {
+    "commands": {"fit-gp": "quadexp.plugins.gaussian_process.commands:fit_gp"},
+    "models": {"gaussian_process": "quadexp.plugins.gaussian_process.gaussian_process"},
+    "api": {"fit_gp": "quadexp.plugins.gaussian_process.api:fit_gp"},
+    "spellings": {"gp": "gaussian_process"},
+}

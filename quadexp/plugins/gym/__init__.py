@@ -8,7 +8,7 @@ What an observation and an action are stands in task.py, once for both.
 
 from __future__ import annotations
 
-BRINGS = {"parts": {"policy": "quadexp.plugins.gym.policy"}}
+BRINGS = {"parts": {"policy": "quadexp.plugins.gym.policy"}, "reads": {"gymnasium.make": "WORLD"}}
 
 
 def register() -> None:

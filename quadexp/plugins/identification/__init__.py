@@ -16,4 +16,5 @@ BRINGS = {
         "rotor_thrust": "quadexp.plugins.identification.rotor_thrust",
         "timing_of_recorded": "quadexp.plugins.identification.delays:timing_by_accelerometer",
     },
+    "reads": {"validate": "vehicle"},
 }

@@ -3,10 +3,9 @@ top."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -62,18 +61,8 @@ def identify(
         flights, out, conf, chosen=partial(_accepted, context), method=method, vehicle=vehicle, figures=figures,
         settings={"powers": CURVES[curve], "radius": radius}, figure=figure, force=force,
     )  # fmt: skip
-    taken = report["method"]
-    record = without(report, ("lines", "main"))
-    if taken == "delays":
-        rows = [{**flight, "overrides": " ".join(flight["overrides"])} for flight in report["flights"]]
-        return Answer({"method": taken, "flights": report["flights"]}, rows, report["lines"])
-    if taken == "torque":
-        return Answer(record, report["axes"], report["lines"])
-    if taken == "rls":
-        rows = [row for flight in report["flights"] for row in _of_flight(flight)]
-        return Answer(record, rows, report["lines"])
-    rows = [{"model": name, **row} for name, model_rows in report["models"].items() for row in model_rows]
-    return Answer(record, rows, [*report["lines" if verbose else "main"], out])
+    lines = report["main"] if "main" in report and not verbose else report["lines"]
+    return Answer(without(report, ("rows", "lines", "main")), report["rows"], lines)
 
 
 def _accepted(context: typer.Context, method: str, reason: str) -> None:
@@ -85,19 +74,6 @@ def _accepted(context: typer.Context, method: str, reason: str) -> None:
             raise UsageError(f"identify {option.opts[0]}: is for --method {' or '.join(having)}, not {method}")
     if method not in ("delays", "torque"):
         say(f"{method}: {reason}")
-
-
-def _of_flight(record: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The coefficients identified in one flight, a row each."""
-    intervals = record.get("interval_95", {})
-    return [
-        {
-            "flight": record["flight"], "coefficient": name, "value": value,
-            "low": intervals.get(name, [None, None])[0], "high": intervals.get(name, [None, None])[1],
-            "recursion": record["recursion"][name], "path": record["path"],
-        }
-        for name, value in record["estimates"].items()
-    ]  # fmt: skip
 
 
 @command
@@ -138,5 +114,4 @@ def validate(
             models, tested, config, horizons=seconds, leave_one_out=leave_one_out, out=out, figures=figures,
             force=force, progress=progress,
         )  # fmt: skip
-    record = {key: value for key, value in report.items() if key != "lines"}
-    return Answer(record, report["rows"], [*report["lines"], *([out] if out else [])])
+    return Answer(without(report, ("lines",)), report["rows"], [*report["lines"], *([out] if out else [])])

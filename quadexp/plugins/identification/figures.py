@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.stats import binned_statistic
 
 from quadexp.models.regression import half_width
 from quadexp.models.residual import AXES
@@ -36,12 +37,14 @@ def delay_figure(profiles: Sequence[Profile]) -> Figure:
     for profile in profiles:
         panel = places[profile.name]
         panel.plot(MS * profile.candidates, profile.score, color=HUES["blue"])
-        ends = (MS * max(profile.best + side * profile.error, 0.0) for side in (-1, 1))
-        panel.axvspan(*ends, color=HUES["vermillion"], alpha=0.15, linewidth=0)
+        interval = profile.best + profile.error * np.array([-1.0, 1.0])
+        low, high = MS * np.clip(interval, profile.candidates[0], profile.candidates[-1])
+        panel.axvspan(low, high, color=HUES["vermillion"], alpha=0.15, linewidth=0)
         panel.axvline(MS * profile.best, color=HUES["vermillion"], linestyle="--")
         result = f"found {MS * profile.best:.1f} ms, standard error {MS * profile.error:.1f}"
         panel.set(title=profile.name, xlabel=f"candidate, ms\n{result}", ylim=(-SHOWN, 0.05 * SHOWN))
-        panel.set_xlim(MS * profile.candidates[0], MS * profile.candidates[-1])
+        likely = MS * profile.candidates[profile.score > -SHOWN]
+        panel.set_xlim(likely[0], likely[-1])
     places[profiles[0].name].set_ylabel("log likelihood, less the best")
     return figure
 
@@ -57,8 +60,7 @@ def thrust_figure(curve: ThrustCurve, samples: Samples) -> Figure:
     scaled = scaled_signal(samples.signal, samples.voltage, curve.reference_voltage, curve.voltage_exponent)
     mean = scaled.mean(axis=1)
     grid = np.linspace(mean.min(), mean.max(), 100)
-    plain = samples.signal.shape[1] if curve.signal != "thrust_acceleration" else 1
-    total = curve.of_signal(np.repeat(grid[:, None], plain, axis=1), np.full(100, curve.reference_voltage)).sum(axis=1)
+    total = curve.collective(grid)
     residual = samples.force[:, 2] - curve.of_signal(samples.signal, samples.voltage).sum(axis=1)
     figure = Figure(figsize=(9.0, 3.6))
     force, beyond = figure.subplots(1, 2)
@@ -86,12 +88,10 @@ def thrust_figure(curve: ThrustCurve, samples: Samples) -> Figure:
 
 def _binned(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centres, mean - std and mean + std of y in bins of equal count over x."""
-    edges = np.quantile(x, np.linspace(0, 1, BINS + 1))
-    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
-    bins = [index == b for b in range(BINS) if (index == b).any()]
-    centre, mean, std = (
-        np.array([of(values[inside]) for inside in bins]) for of, values in ((np.mean, x), (np.mean, y), (np.std, y))
-    )
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
+    centre = binned_statistic(x, x, "mean", edges).statistic
+    mean = binned_statistic(x, y, "mean", edges).statistic
+    std = binned_statistic(x, y, "std", edges).statistic
     return centre, mean - std, mean + std
 
 

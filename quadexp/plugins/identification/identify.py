@@ -9,7 +9,7 @@ delays      age of the estimate, dead time and lag of the commands, and the sett
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 from msgspec.structs import replace as with_changes
 
 from quadexp.errors import DataError, UsageError
-from quadexp.experiment.vehicle_of import refuse_repeated, vehicle_named
+from quadexp.experiment.vehicle_of import refuse_repeated
 from quadexp.log import store
 from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import save_model
@@ -28,6 +28,7 @@ from quadexp.models.residual import THRUST, VELOCITY
 from quadexp.parts.options import Folders
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.aerodynamics.drag_choice import chosen_drag, compare_drag
+from quadexp.plugins.identification.comparison import best_level, chosen_curve, compare_curves, selection
 from quadexp.plugins.identification.inflow import momentum_of
 from quadexp.plugins.identification.recorded import read_recorded
 from quadexp.plugins.identification.thrust_curve import ThrustCurve, fit_thrust_samples
@@ -36,22 +37,16 @@ from quadexp.plugins.identification.vehicle_model import (
     HOVER_INFLOW,
     FitSettings,
     VehicleModel,
-    best_level,
-    compare_curves,
     fit_vehicle_model,
     flight_by_flight,
-    selection,
 )
 from quadexp.plugins.identification.vehicle_numbers import numbers_of
 from quadexp.plugins.logs.samples import QUATERNION, RATES, READINGS, SIGNALS, Samples, gather_to_fit, rotor_columns
 from quadexp.plugins.logs.vehicle_of import own_vehicle, recorded_vehicle
-from quadexp.plugins.papers.lei_li.blade_element import Identification, identify_flight
+from quadexp.plugins.papers.lei_li.blade_element import identify_flight
 from quadexp.provenance import provenance, versions
 from quadexp.writer import check_output
 
-LEAST_IMPROVEMENT = 0.02  # relative, of the held-out error along z: another thrust curve replaces c_1, c_2 from here on
-EXPONENT_IMPROVEMENT = 0.1  # the same, for a fitted voltage exponent to replace 1
-EXPONENTS = (0.5, 1.5)  # plausible voltage exponents of a motor; outside, flights differ in something else
 NO_INDUCED = "blade element without induced velocity: its error on held-out flights is smaller than with it"
 
 
@@ -86,11 +81,11 @@ def choose_method(paths: Sequence[Path], asked: str | None, vehicle: Vehicle | N
 
 
 def identify_files(
-    flights: Sequence[Path], out: Path, *, vehicle: str | None = None, conf: Folders = None, force: bool = False
-) -> list[tuple[Path, Identification]]:
-    """Identify from every flight and write <out>/<its name>.parquet, all or none.
+    flights: Sequence[Path], out: Path, *, vehicle: Vehicle | None = None, conf: Folders = None, force: bool = False
+) -> dict[str, Any]:
+    """Identify from every flight and write <out>/<its name>.parquet, all or none: {out, flights, rows, lines}.
 
-    vehicle: name in the configuration (or in the folder `conf`); None: that in the flight's metadata.
+    vehicle: None: that in the flight's metadata, of the configuration or of the folder `conf`.
     Raises UsageError or DataError.
     """
     if not flights:
@@ -99,15 +94,24 @@ def identify_files(
     refuse_repeated("identify", paths, "two flights named {path.stem} would both be written to {path}")
     for path in paths:
         check_output(path, force=force)
-    named = None if vehicle is None else vehicle_named(vehicle, conf)
     results = []
     for path in flights:
         flight = store.read_flight(path, whole=True)
-        results.append(identify_flight(flight, named or recorded_vehicle(flight, path), name=str(path)))
+        results.append(identify_flight(flight, vehicle or recorded_vehicle(flight, path), name=str(path)))
+    records = []
+    rows = []
+    lines = []
     for path, result in zip(paths, results, strict=True):
-        record = {**result.metadata(), "versions": versions(), "provenance": provenance()}
-        store.write_table(path, result.columns(), record, "estimates", force=force)
-    return list(zip(paths, results, strict=True))
+        record = result.metadata()
+        stored = {**record, "versions": versions(), "provenance": provenance()}
+        store.write_table(path, result.columns(), stored, "estimates", force=force)
+        records.append({"path": path, **record})
+        lines += [*result.lines(), path]
+        for name, value in record["estimates"].items():
+            low, high = record.get("interval_95", {}).get(name, (None, None))
+            row = {"flight": record["flight"], "coefficient": name, "value": value, "low": low, "high": high}
+            rows.append(row | {"recursion": record["recursion"][name], "path": path})
+    return {"out": out, "flights": records, "rows": rows, "lines": lines}
 
 
 # --------------------------------------------------------------------------------------------------------- regression
@@ -136,21 +140,20 @@ def identify_vehicle(
     if curves:
         settings = chosen_curve(curves, settings)
     ladder = selection(samples, settings, momentum)
+    fitted = {row["level"] for row in ladder if not row["note"]}
     air = compare_drag(rows_of_samples(samples, settings))
-    best = chosen_drag(air) or best_level(ladder)
-    if best not in ("linear", *settings.kinds) or next(row for row in ladder if row["level"] == best)["note"]:
+    best = chosen_drag(air)
+    if best is None or best not in fitted:
         best = best_level(ladder)
-    with_inflow = any(row["level"] == "blade_element" and not row["note"] for row in ladder)
-    if with_inflow and best_level(ladder, ("blade_element", HOVER_INFLOW)) == HOVER_INFLOW:
+    if "blade_element" in fitted and best_level(ladder, ("blade_element", HOVER_INFLOW)) == HOVER_INFLOW:
         settings = replace(settings, induced=False)
         best = HOVER_INFLOW if best == "blade_element" else best
     kept = "blade_element" if best == HOVER_INFLOW else best
     model = fit_vehicle_model(flights, vehicle, settings, names=names, samples=samples, best=kept)
-    torque, hidden = torque_of(flights, names, vehicle, samples, model.thrust)
-    model = with_changes(model, torque=torque, notes=(*model.notes, *hidden))
+    torque, notes = torque_of(flights, names, vehicle, samples, model.thrust)
     if not settings.induced:
-        model = with_changes(model, notes=(*model.notes, NO_INDUCED))
-    model = with_changes(model, versions=versions())
+        notes.append(NO_INDUCED)
+    model = with_changes(model, torque=torque, notes=(*model.notes, *notes), versions=versions())
     alone = flight_by_flight(samples, settings)
     numbers = numbers_of(model.thrust, samples, alone, vehicle, torque)
     report = {
@@ -187,29 +190,6 @@ def torque_of(
         return None, [f"no torque: {error}"]
 
 
-def chosen_curve(curves: Sequence[Mapping[str, Any]], settings: FitSettings) -> FitSettings:
-    """The settings with the curve of `compare_curves` of least held-out error (by half flights where there are such).
-
-    The default, c_1 s + c_2 s^2 of s V/V_ref, stays unless another is better by LEAST_IMPROVEMENT. V^g is fitted where
-    that is better by EXPONENT_IMPROVEMENT, with g within EXPONENTS, on two flights or more.
-    """
-    key = "halves_out" if any(row["halves_out"] is not None for row in curves) else "held_out"
-    scored = {(tuple(row["powers"]), row["voltage"]): row[key] for row in curves if row[key] is not None}
-    plain = {powers: error for (powers, voltage), error in scored.items() if voltage == "V"}
-    plain = plain or {powers: error for (powers, voltage), error in scored.items() if voltage == "unused"}
-    if not plain:
-        return settings
-    best = min(plain, key=plain.__getitem__)
-    if best != (1, 2) and plain[best] < (1 - LEAST_IMPROVEMENT) * plain.get((1, 2), np.inf):
-        settings = replace(settings, powers=best)
-    motors = [row for row in curves if row["voltage"] == "V^g" and row[key] is not None]
-    motors = [row for row in motors if EXPONENTS[0] <= row["exponent"] <= EXPONENTS[1]]
-    by_exponent = min(motors, key=lambda row: row[key], default=None)
-    if by_exponent is not None and by_exponent[key] < (1 - EXPONENT_IMPROVEMENT) * plain[best]:
-        settings = replace(settings, powers=tuple(by_exponent["powers"]), voltage_exponent=None)
-    return settings
-
-
 def _lean(flight: Flight) -> Flight:
     """The flight with the columns that the torque needs, to free the others."""
     needed = ("t", "segment", "battery_voltage", *QUATERNION, *VELOCITY, *WIND, *READINGS, *RATES)
@@ -224,7 +204,7 @@ def identify_flights(
     figures: bool = True, conf: Folders = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Read, identify, write the checkpoint folder with its figures. vehicle: None: the one recorded in the flights, if
-    any. Returns the report, with `lines` and `main`, those that matter first.
+    any. Returns the report, with `rows`, `lines` and `main`, those that matter first.
 
     Raises UsageError for a file given twice (it would test itself), UsageError or DataError before anything is written.
     """
@@ -234,7 +214,7 @@ def identify_flights(
     refuse_repeated("identify", [path.resolve() for path in paths])
     stems = [path.stem for path in paths]
     names = [path.stem if stems.count(path.stem) == 1 else str(path) for path in paths]
-    flights = [read_recorded(path) for path in paths]
+    flights = list(map(read_recorded, paths))
     samples = gather_to_fit(flights, settings.signal, names)
     flights = [_lean(flight) for flight in flights]
     model, _, report = identify_vehicle(
@@ -248,5 +228,10 @@ def identify_flights(
 
         for name, figure in identification_figures(model, samples).items():
             files[name] = str(save(figure, out / "figures" / name))
-    texts = {"lines": identification_lines(model, report), "main": main_lines(model, report)}
-    return {"method": "regression", "out": out, "figures": files, **report, **texts}
+    rows = []
+    for kind, model_rows in report["models"].items():
+        rows += [{"model": kind, **row} for row in model_rows]
+    return {
+        "out": out, "figures": files, **report, "rows": rows,
+        "lines": [*identification_lines(model, report), out], "main": [*main_lines(model, report), out],
+    }  # fmt: skip

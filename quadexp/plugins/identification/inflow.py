@@ -13,7 +13,7 @@ quadexp.plugins.papers.lei_li.rls.)
 from __future__ import annotations
 
 import math
-from functools import cache, lru_cache
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +29,7 @@ from quadexp.plugins.aerodynamics.terms import ITERATIONS, TERMS, Z_TERMS, Inflo
 AIR_DENSITY = 1.2  # kg/m^3, where the vehicle does not state one
 START = (0.0, 0.1, 0.0, 0.0)  # scale, loss, advance, body
 LEAST_LOSS = 1e-3  # 1/m; at it, the term is none
+BOUNDS = ((-0.5, LEAST_LOSS, -np.inf, -np.inf), (1.0, np.inf, np.inf, np.inf))
 SEARCH_SAMPLES = 8_000  # used by the search; more are thinned evenly. The linearisation uses all.
 
 
@@ -73,24 +74,20 @@ def fit_inflow(velocity: np.ndarray, rotor_acceleration: np.ndarray, target: np.
 
     function = _force_function(rotor_acceleration.shape[1], float(kappa))
 
-    @lru_cache(maxsize=1)  # the search asks for the residuals and the Jacobian at the same theta
-    def evaluate(
-        theta: tuple[float, ...], every: int = -(-len(target) // SEARCH_SAMPLES)
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(theta: np.ndarray, every: int) -> tuple[np.ndarray, np.ndarray]:
         """f - target, (k,), and df/dtheta, (k, 4), at every so many samples."""
         v, a = velocity[::every], rotor_acceleration[::every]
         values = np.empty((len(v), 1 + len(Z_TERMS)))
         evaluate_rows(function, (v, a, np.tile(theta, (len(v), 1))), values)
-        return values[:, 0] - target[::every], values[:, 1:].copy()
+        return values[:, 0] - target[::every], values[:, 1:]
 
-    options = {
-        "jac": lambda theta: evaluate(tuple(theta))[1], "x_scale": "jac", "xtol": 1e-10, "ftol": 1e-12, "gtol": 1e-10,
-        "bounds": ([-0.5, LEAST_LOSS, -np.inf, -np.inf], [1.0, np.inf, np.inf, np.inf]),
-    }  # fmt: skip
-    result = least_squares(lambda theta: evaluate(tuple(theta))[0], START, **options)
-    theta = result.x
-    if theta[1] < 2 * LEAST_LOSS:
+    every = -(-len(target) // SEARCH_SAMPLES)
+    theta = least_squares(
+        lambda theta: evaluate(theta, every)[0], START, jac=lambda theta: evaluate(theta, every)[1], bounds=BOUNDS,
+        x_scale="jac", xtol=1e-10, ftol=1e-12, gtol=1e-10,
+    ).x  # fmt: skip
+    scale, loss, advance, _ = theta.tolist()
+    if loss < 2 * LEAST_LOSS:
         raise DataError("blade element along z: the flights do not show that flow through the rotors costs thrust")
-    error, design = evaluate(tuple(theta), 1)
-    inflow = Inflow(float(kappa), float(theta[1]), float(theta[2]), float(theta[0]))
-    return ThrustFit(inflow, design, design @ theta - error)
+    error, design = evaluate(theta, 1)
+    return ThrustFit(Inflow(float(kappa), loss, advance, scale), design, design @ theta - error)

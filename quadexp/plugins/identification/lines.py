@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from quadexp.models.regression import LEAST_FLIGHTS
-from quadexp.names import distinct
 from quadexp.plugins.aerodynamics.blocks import FLIGHT_CLUSTERS
 from quadexp.plugins.aerodynamics.drag_choice import drag_line
 from quadexp.plugins.identification.vehicle_numbers import number_lines
@@ -100,42 +99,49 @@ def _scope(flights: int, least: int) -> str:
 
 
 def _curve_lines(curves: Sequence[Row], model: Any) -> list[str]:
+    """The thrust curves that were compared, and which one is used."""
     if not curves:
         return []
     curve = model.thrust
     used = "unused" if not curve.reference_voltage else "V" if curve.voltage_exponent == 1 else "V^g"
     signals = {"unused": "command", "V": "command V/V_ref", "V^g": "command (V/V_ref)^g"}
-    halves = any(row.get("halves_out") is not None for row in curves)
-    parts = {"in_sample": "in sample", "held_out": "left out"} | ({"halves_out": "half left out"} if halves else {})
+    title = "thrust curves: RMSE along z (m/s^2), in sample, on flights left out"
+    parts = {"in_sample": "in sample", "held_out": "left out"}
+    if any(row.get("halves_out") is not None for row in curves):
+        title += ", and on half a flight left out"
+        parts["halves_out"] = "half left out"
     rows = []
     for row in curves:
-        name = " + ".join(f"c_{p} s^{p}" if p > 1 else "c_1 s" for p in row["powers"])
-        chosen = row["voltage"] == used and tuple(row["powers"]) == tuple(curve.powers.astype(int).tolist())
-        cells = ["-" if row[part] is None else f"{row[part]:.3f}" for part in parts]
-        rows.append([f"  {name}, s = {signals[row['voltage']]}", *cells, "<- used" if chosen else ""])
-    title = "thrust curves: RMSE along z (m/s^2), in sample, on flights left out"
-    title += ", and on half a flight left out" if halves else ""
+        terms = " + ".join("c_1 s" if power == 1 else f"c_{power} s^{power}" for power in row["powers"])
+        errors = ["-" if row[part] is None else f"{row[part]:.3f}" for part in parts]
+        chosen = row["voltage"] == used and list(row["powers"]) == curve.powers.astype(int).tolist()
+        rows.append([f"  {terms}, s = {signals[row['voltage']]}", *errors, "<- used" if chosen else ""])
     return Table(["", *parts.values(), ""], rows, title, left=frozenset({0, len(parts) + 1})).lines()
 
 
 def selection_lines(rows: Sequence[Row], best: str) -> list[str]:
     """The models from nominal to blade element as a table."""
-    held = any(row["held_out"] for row in rows)
-    scores = [("in_sample", key) for key in NORMS]
-    scores += [*(("held_out", key) for key in NORMS), ("trimmed", "norm")] if held else []
+    groups = {1: "in sample"}
+    parts = ["in_sample"]
+    if any(row["held_out"] for row in rows):
+        groups[1 + len(NORMS)] = "left out"
+        parts.append("held_out")
     lines = []
     for row in rows:
-        has = {"in_sample": row["in_sample"], "held_out": row["held_out"], "trimmed": row["held_out"]}
-        cells = [f"{row[part][key]:.3f}" if has[part] else "" for part, key in scores]
-        note = "<- best" if row["level"] == best else ""
-        if not row["in_sample"] or (held and not row["held_out"]):
-            note = f"{'' if row['in_sample'] else 'not fitted: '}{row['note']} {note}".strip()
-        lines.append([row["name"], *cells, note])
-    heads = ["RMSE (m/s^2)", *(part if part == "trimmed" else key for part, key in scores), ""]
-    left_columns, groups = frozenset({0, len(heads) - 1}), {1: "in sample", **({5: "left out"} if held else {})}
-    note = "  (nominal: a curve fitted without drag beside it; `validate` takes the curve fitted beside drag."
-    note += " best: of the air alone, see `air`, as `quadexp fit` compares)"
-    return Table(heads, lines, left=left_columns, groups=groups, notes=[note]).lines()
+        cells = [f"{row[part][key]:.3f}" if row[part] else "" for part in parts for key in NORMS]
+        notes = []
+        if not row["in_sample"]:
+            notes.append("not fitted:")
+        notes.append(row["note"])
+        if row["level"] == best:
+            notes.append("<- best")
+        lines.append([row["name"], *cells, " ".join(filter(None, notes))])
+    heads = ["RMSE (m/s^2)", *NORMS * len(parts), ""]
+    note = (
+        "  (nominal: a curve fitted without drag beside it; `validate` takes the curve fitted beside drag."
+        " best: of the air alone, see `air`, as `quadexp fit` compares)"
+    )
+    return Table(heads, lines, left=frozenset({0, len(heads) - 1}), groups=groups, notes=[note]).lines()
 
 
 def mean_of(mode: str) -> str:
@@ -206,18 +212,16 @@ def _one_step_lines(rows: Sequence[Row], flights: int) -> list[str]:
 
     The shares are of nominal as fitted, and of nominal with its scale tracked too.
     """
-    tracked = {row["predictor"]: row for row in rows if row["thrust_tracked"]}
     outside = any(row.get("outside") for row in rows)
 
-    def vector(row: Row, *shares: str) -> list[str]:
-        interval = f"[{row['rms_low']:.3f}, {row['rms_high']:.3f}]"
-        return [f"{row['rms']:.3f}", interval, *(_percent(row, share) for share in shares)]
+    def vector(row: Row) -> list[str]:
+        return [f"{row['rms']:.3f}", f"[{row['rms_low']:.3f}, {row['rms_high']:.3f}]", _percent(row, "share")]
 
     lines = []
-    for row in (row for row in rows if not row["thrust_tracked"]):
-        cells = [row["predictor"], *(f"{row[key]:.3f}" for key in ("rms_x", "rms_y", "rms_z")), *vector(row, "share")]
-        cells += vector(tracked[row["predictor"]], "share", "share_alike")
-        lines.append([*cells, *([_percent(row, "outside")] if outside else [])])
+    for fitted, tracked in zip(rows[::2], rows[1::2], strict=True):  # of a predictor each
+        cells = [fitted["predictor"], *(f"{fitted[key]:.3f}" for key in ("rms_x", "rms_y", "rms_z"))]
+        cells += [*vector(fitted), *vector(tracked), _percent(tracked, "share_alike")]
+        lines.append([*cells, *[_percent(fitted, "outside")] * outside])
     heads = ["", "x", "y", "z", "vector", "interval", "of nominal", "vector", "interval", "of nominal", "of tracked"]
     title = f"residual of the specific force, RMS (m/s^2); 95 % interval {_scope(flights, LEAST_FLIGHTS)}"
     groups = {1: "as fitted", 7: "thrust scale tracked"}
@@ -240,13 +244,16 @@ def rollout_lines(rows: Sequence[Row]) -> list[str]:
     """Errors of one mode at each horizon, a line per predictor (and per thrust scale, tracked or not)."""
     horizons = sorted({row["horizon"] for row in rows})
     quantities = [name for name in QUANTITIES if name in rows[0]]
-    keys = distinct((row["predictor"], row["thrust_tracked"]) for row in rows)
-    several = len({tracked for _, tracked in keys}) > 1
-    values = {(row["predictor"], row["thrust_tracked"], row["horizon"]): row for row in rows}
+    several = len({row["thrust_tracked"] for row in rows}) > 1
+    by_line: dict[str, dict[float, Row]] = {}
+    for row in rows:
+        name = row["predictor"] + ", tracked" * (row["thrust_tracked"] and several)
+        by_line.setdefault(name, {})[row["horizon"]] = row
     lines = []
-    for name, tracked in keys:
-        at = [values.get((name, tracked, horizon)) for horizon in horizons]
-        cells = [f"{error_of(row, quantity):.3f}" if row else "" for quantity in quantities for row in at]
-        lines.append([name + (", tracked" if tracked and several else ""), *cells])
+    for name, at in by_line.items():
+        cells = []
+        for quantity in quantities:
+            cells += [f"{error_of(at[horizon], quantity):.3f}" if horizon in at else "" for horizon in horizons]
+        lines.append([name, *cells])
     groups = {1 + i * len(horizons): f"{name} ({QUANTITIES[name][0]})" for i, name in enumerate(quantities)}
-    return Table(["", *(f"{h:g} s" for _ in quantities for h in horizons)], lines, groups=groups).lines()
+    return Table(["", *[f"{horizon:g} s" for horizon in horizons] * len(quantities)], lines, groups=groups).lines()

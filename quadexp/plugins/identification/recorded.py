@@ -37,7 +37,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -53,7 +52,6 @@ from quadexp.plugins.logs.samples import QUATERNION, choose_signal, read_rows, r
 
 MEMORY = 10.0  # s, of the tracked scale
 PRIOR = 0.5  # s
-THRUST_SIGNALS = ("u", "thrust_acceleration")  # in units of force or acceleration, usable without a thrust curve
 
 
 def read_recorded(path: Path) -> Flight:
@@ -74,18 +72,26 @@ def logged_thrust(flights: Sequence[Flight], vehicle: Vehicle) -> ThrustCurve:
 
     Raises UsageError where the log has commands or rotor speeds only, which need an identified curve.
     """
-    k, simulated = vehicle.thrust_coefficient, not any(map(is_recorded, flights))
-    if simulated and k is not None and all(rotor_columns(flight, "rotor_speed") for flight in flights):
-        scale = k / vehicle.mass
-        return ThrustCurve("rotor_speed", np.array([2.0]), np.array([scale]), np.zeros(1), rotors=vehicle.n_rotors)
-    signals = [name for name in THRUST_SIGNALS if all(rotor_columns(flight, name) for flight in flights)]
-    if not signals:
-        raise UsageError(
-            f"collect.identified: these flights have {choose_signal(flights)}, not thrust: give the folder of"
-            " `quadexp identify FLIGHT... --out models/NAME`"
-        )
-    scale = 1 / vehicle.mass if signals[0] == "u" else 1.0
-    return ThrustCurve(signals[0], np.array([1.0]), np.array([scale]), np.zeros(1), rotors=vehicle.n_rotors)
+
+    def have(signal: str) -> bool:
+        return all(rotor_columns(flight, signal) for flight in flights)
+
+    def curve(signal: str, power: float, coefficient: float) -> ThrustCurve:
+        return ThrustCurve(
+            signal, np.array([power]), np.array([coefficient]), np.zeros(1), rotors=vehicle.n_rotors
+        )  # fmt: skip
+
+    simulated = not any(map(is_recorded, flights))
+    if simulated and vehicle.thrust_coefficient is not None and have("rotor_speed"):
+        return curve("rotor_speed", 2.0, vehicle.thrust_coefficient / vehicle.mass)
+    if have("u"):
+        return curve("u", 1.0, 1 / vehicle.mass)
+    if have("thrust_acceleration"):
+        return curve("thrust_acceleration", 1.0, 1.0)
+    raise UsageError(
+        f"collect.identified: these flights have {choose_signal(flights)}, not thrust: give the folder of"
+        " `quadexp identify FLIGHT... --out models/NAME`"
+    )
 
 
 def force_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, name: str = "flight") -> dict[str, np.ndarray]:
@@ -98,15 +104,17 @@ def force_rows(flight: Flight, vehicle: Vehicle, curve: ThrustCurve, name: str =
     rotors = curve.of_signal(samples.signal, samples.voltage)
     if rotors.shape[1] != vehicle.n_rotors:
         raise DataError(f"{name}: {rotors.shape[1]} rotors, vehicle '{vehicle.name}' has {vehicle.n_rotors}")
-    residual = samples.force.copy()
-    residual[:, 2] -= rotors.sum(axis=1)
+    collective = rotors.sum(axis=1)
     steps = np.diff(samples.time)  # to the next row within a segment, the median step at its end
-    together = samples.segment[1:] == samples.segment[:-1]
-    usual = float(np.median(steps[together])) if together.any() else 0.0
-    columns = {"t": samples.time, "dt": np.append(np.where(together, steps, usual), usual)}
-    columns |= by_axis(v=samples.velocity, w=row.rate, a=residual)
-    columns |= {f"u_{i}": vehicle.mass * rotors[:, i] for i in range(vehicle.n_rotors)}
-    return columns | {THRUST: vehicle.mass * rotors.sum(axis=1)}
+    within = np.diff(samples.segment) == 0
+    usual = float(np.median(steps[within])) if within.any() else 0.0
+    return {
+        "t": samples.time,
+        "dt": np.append(np.where(within, steps, usual), usual),
+        **by_axis(v=samples.velocity, w=row.rate, a=samples.force - collective[:, None] * [0.0, 0.0, 1.0]),
+        **{f"u_{i}": vehicle.mass * rotor for i, rotor in enumerate(rotors.T)},
+        THRUST: vehicle.mass * collective,
+    }
 
 
 def recorded_dataset(
@@ -129,8 +137,14 @@ def recorded_dataset(
     columns, records = joined(flights, vehicle, names, table_of)
     for record, flight in zip(records, flights, strict=True):
         record |= {"left_out": len(flight) - record["rows"], "seed": None}
-    metadata: dict[str, Any] = {"vehicle": vehicle.record, "frame": "sample" if target == "specific_force" else frame}
-    metadata |= {"target": target, "flights": records, "recorded": True, "thrust": plain(curve)}
+    metadata = {
+        "vehicle": vehicle.record,
+        "frame": "sample" if target == "specific_force" else frame,
+        "target": target,
+        "flights": records,
+        "recorded": True,
+        "thrust": plain(curve),
+    }
     return ResidualDataset(columns, metadata)
 
 

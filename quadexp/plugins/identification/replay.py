@@ -39,9 +39,9 @@ from quadexp.parts.schema import Config, controller_name
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification import validation
 from quadexp.plugins.identification.config_for import config_for
-from quadexp.plugins.identification.recorded import tracked_scale
 from quadexp.plugins.identification.replay_log import LoggedPath, Noise
 from quadexp.plugins.identification.torque_gain import TorqueGain
+from quadexp.plugins.identification.turning import between_samples
 from quadexp.plugins.identification.validation import POINT, WORLD_VELOCITY, Predictor
 from quadexp.plugins.identification.vehicle_model import VehicleModel
 from quadexp.plugins.logs.samples import QUATERNION, FlightRows, read_rows
@@ -169,34 +169,40 @@ def logged_path(rows: FlightRows, predictor: Predictor, name: str) -> LoggedPath
 
     Raises DataError where less than SHORTEST seconds lie between gaps."""
     samples = rows.samples
-    apart = np.diff(samples.time) > 1.5 * rows.dt
-    joined = ~apart & (np.diff(samples.segment) == 0)
+    joined = (np.diff(samples.time) <= 1.5 * rows.dt) & (np.diff(samples.segment) == 0)
     first, last = longest(joined) if joined.any() else (0, 0)
-    t = samples.time[first : last + 1]
-    if not t[-1] - t[0] >= SHORTEST:
-        raise DataError(
-            f"{name}: its longest stretch without a gap takes {t[-1] - t[0]:.3g} s; {SHORTEST:g} are needed"
-        )
+    stretch = slice(first, last + 1)
     at = slice(rows.first + first, rows.first + last + 1)
+    t = samples.time[stretch]
+    seconds = t[-1] - t[0]
+    if not seconds >= SHORTEST:
+        raise DataError(f"{name}: its longest stretch without a gap takes {seconds:.3g} s; {SHORTEST:g} are needed")
     flight = rows.flight
 
-    def vector(names: Sequence[str]) -> np.ndarray | None:
-        if not set(names) <= set(flight.columns):
+    def reference(names: Sequence[str]) -> np.ndarray | None:
+        columns = [f"ref_{name}" for name in names]
+        if not set(columns) <= set(flight.columns):
             return None
-        values = flight.stack(list(names))[at]
+        values = flight.stack(columns)[at]
         return values if np.isfinite(values).all() else None
 
-    position = vector(POINT)
-    assert position is not None  # read_flight has seen to it
-    attitude = vector([f"ref_{name}" for name in QUATERNION])
-    w, x, y, z = (vector(QUATERNION) if attitude is None else attitude).T  # type: ignore[union-attr]
+    attitude = reference(QUATERNION)
+    if attitude is None:
+        attitude = flight.stack(QUATERNION)[at]
+    w, x, y, z = attitude.T
     yaw = np.unwrap(np.arctan2(-2 * (x * y - w * z), 1 - 2 * (x * x + z * z)))  # y_body level: (-sin yaw, cos yaw)
     wind = None if is_recorded(flight) else 0.0
     if flight.wind is not None:
         wind = float(np.linalg.norm(flight.wind[at].mean(axis=0)))
-    rotors = predictor.curve.of_signal(samples.signal, samples.voltage)[first : last + 1]
-    target = vector([f"ref_{name}" for name in POINT])
-    return LoggedPath(t - t[0], position, target, yaw, rows.rate[first : last + 1], rotors, wind)
+    return LoggedPath(
+        t - t[0],
+        position=flight.stack(POINT)[at],
+        target=reference(POINT),
+        yaw=yaw,
+        rate=rows.rate[stretch],
+        rotors=predictor.curve.of_signal(samples.signal, samples.voltage)[stretch],
+        wind=wind,
+    )
 
 
 def write_track(file: Path, path: LoggedPath) -> None:
@@ -222,39 +228,34 @@ def _between_flights(report: Mapping[str, Any], axis: str, names: Sequence[str])
     variances = np.zeros(len(names))
     if "quadratic" in names or "hub" in names:  # another drag than that which was fitted flight by flight
         return variances
-    fits = [flight["coefficients"] for flight in report.get("flights", []) if "coefficients" in flight]
+    rows = [row for flight in report.get("flights", []) for row in flight.get("coefficients", [])]
     for i, name in enumerate(names):
-        rows = [row for fit in fits for row in fit if (row["axis"], row["term"]) == (axis, name)]
-        if len(rows) > 1:
-            seen = np.var([row["value"] for row in rows], ddof=1)
-            variances[i] = max(seen - np.mean([row["error"] ** 2 for row in rows]), 0.0)
+        of_term = [(row["value"], row["error"]) for row in rows if (row["axis"], row["term"]) == (axis, name)]
+        if len(of_term) > 1:
+            values, errors = np.transpose(of_term)
+            variances[i] = max(np.var(values, ddof=1) - np.mean(errors**2), 0.0)
     return variances
 
 
 def noise_of(rows: FlightRows, predictor: Predictor, vehicle: Vehicle, torque: TorqueGain | None = None) -> Noise:
     """What the model leaves on a log; see the module. rows: with the commands as late as they act. torque: its gain."""
     samples = rows.samples
-    rotors = predictor.curve.of_signal(samples.signal, samples.voltage)
-    collective = rotors.sum(axis=1)
-    error = samples.force - predictor.beyond(samples.velocity, rows.rate, rotors)
-    scale = tracked_scale(collective, error[:, 2], rows.dt)
-    error[:, 2] -= scale * collective
-    ahead = samples.during(rotors)
-    mean_rotors = ahead[:-1] if samples.held.all() else (ahead[:-1] + ahead[1:]) / 2
-    moved = _force_of_motion(rows, vehicle.gravity)
-    moved -= predictor.beyond((samples.velocity[:-1] + samples.velocity[1:]) / 2, rows.rate[:-1], mean_rotors)
-    moved[:, 2] -= scale[:-1] * mean_rotors.sum(axis=1)
-    force = vehicle.mass * min(_density(error, rows), _density(moved, rows))
-    if rotors.shape[1] != vehicle.n_rotors or predictor.curve.signal == "thrust_acceleration":
+    step = validation.one_step(predictor, rows)
+    mean_rotors = between_samples(samples, step.rotors)
+    mean_velocity = (samples.velocity[:-1] + samples.velocity[1:]) / 2
+    moved = _force_of_motion(rows, vehicle.gravity) - predictor.beyond(mean_velocity, rows.rate[:-1], mean_rotors)
+    moved[:, 2] -= step.scale[:-1] * mean_rotors.sum(axis=1)
+    force = vehicle.mass * min(_density(step.error(tracked=True), rows), _density(moved, rows))
+    if step.rotors.shape[1] != vehicle.n_rotors or predictor.curve.signal == "thrust_acceleration":
         return Noise(force, 0.0, False)
-    mean_thrust = vehicle.mass * mean_rotors
     rate = (rows.rate[:-1] + rows.rate[1:]) / 2
     needed = np.diff(rows.rate, axis=0) / rows.dt @ vehicle.inertia_matrix
     needed += np.cross(rate, rate @ vehicle.inertia_matrix)
-    gain = np.ones(3) if torque is None else np.array([1.0 if ratio is None else ratio for ratio in torque.used])
-    unexplained = needed - gain * (mean_thrust @ vehicle.allocation[1:].T)
-    remaining, without = _density(unexplained[:, :2], rows), _density(needed[:, :2], rows)
-    shows = remaining < BETTER * without
+    delivered = vehicle.mass * mean_rotors @ vehicle.allocation[1:].T
+    if torque is not None:
+        delivered *= np.where(torque.is_known, torque.ratio, 1.0)
+    remaining = _density((needed - delivered)[:, :2], rows)
+    shows = remaining < BETTER * _density(needed[:, :2], rows)
     return Noise(force, remaining if shows else 0.0, shows)
 
 

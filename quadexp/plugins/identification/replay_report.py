@@ -31,6 +31,7 @@ STILL = 0.5  # m/s of wind
 FARTHER = 0.05  # share of samples outside the data of the plant's fit that is worth a warning
 ERROR = "position error"
 APART = "distance between the paths"
+THRUST = "collective thrust / mass"
 Row = dict[str, Any]
 
 
@@ -42,36 +43,41 @@ def at_times_of(path: LoggedPath, flight: Flight, values: np.ndarray) -> np.ndar
 def comparison(path: LoggedPath, flight: Flight, vehicle: Vehicle) -> list[Row]:
     """{quantity, unit, log (None where it does not say), replay, difference (None where that says nothing)}."""
     counted = path.t >= SETTLE
-    position = at_times_of(path, flight, flight.stack(list(POINT)))[counted]
-    rate = at_times_of(path, flight, flight.stack(list(RATES)))[counted]
-    rotors = at_times_of(path, flight, flight.input)[counted] / vehicle.mass
-    flown, turned, sent = path.position[counted], path.rate[counted], path.rotors[counted]
-    rows: list[Row] = []
 
-    def add(quantity: str, unit: str, log: float | None, replay: float, difference: float | None = None) -> None:
-        rows.append({"quantity": quantity, "unit": unit, "log": log, "replay": replay, "difference": difference})
+    def replayed(values: np.ndarray) -> np.ndarray:
+        return at_times_of(path, flight, values)[counted]
 
+    flown, sent = path.position[counted], path.rotors[counted]
+    position, rotors = replayed(flight.stack(POINT)), replayed(flight.input) / vehicle.mass
+    rows = []
     if path.target is not None:
         target = path.target[counted]
-        logged, again = norms(flown - target), norms(position - target)
-        add(ERROR, "m", root_mean_square(logged), root_mean_square(again), root_mean_square(again - logged))
-    add(APART, "m", None, root_mean_square(norms(position - flown)))
-    thrust, again = sent.sum(axis=1), rotors.sum(axis=1)
-    add("collective thrust / mass, mean", "m/s^2", float(thrust.mean()), float(again.mean()))
-    swing, swung = thrust - thrust.mean(), again - again.mean()
-    add("collective thrust / mass, about its mean", "m/s^2", float(thrust.std()), float(again.std()),
-        root_mean_square(swung - swing))  # fmt: skip
+        rows.append(_compared(ERROR, "m", norms(flown - target), norms(position - target)))
+    apart = root_mean_square(norms(position - flown))
+    rows.append({"quantity": APART, "unit": "m", "log": None, "replay": apart, "difference": None})
+    thrust, replay_thrust = sent.sum(axis=1), rotors.sum(axis=1)
+    mean, replay_mean = thrust.mean(), replay_thrust.mean()
+    rows.append(_compared(f"{THRUST}, mean", "m/s^2", mean, replay_mean, together=False))
+    rows.append(_compared(f"{THRUST}, about its mean", "m/s^2", thrust - mean, replay_thrust - replay_mean))
     if sent.shape == rotors.shape:
-        add("thrust / mass of a rotor beside the others", "m/s^2", _uneven(sent), _uneven(rotors))
-    for axis, logged, replayed in zip(RATES, turned.T, rate.T, strict=True):
-        add(axis, "rad/s", root_mean_square(logged), root_mean_square(replayed), root_mean_square(replayed - logged))
+        name = "thrust / mass of a rotor beside the others"
+        rows.append(_compared(name, "m/s^2", _uneven(sent), _uneven(rotors), together=False))
+    for axis, logged, again in zip(RATES, path.rate[counted].T, replayed(flight.stack(RATES)).T, strict=True):
+        rows.append(_compared(axis, "rad/s", logged, again))
     return rows
 
 
-def _uneven(rotors: np.ndarray) -> float:
-    """RMS of what differs from rotor to rotor, without what always does."""
+def _compared(quantity: str, unit: str, log: np.ndarray, replay: np.ndarray, *, together: bool = True) -> Row:
+    """RMS of log and replay and, where their samples belong together, of the difference."""
+    difference = root_mean_square(replay - log) if together else None
+    row = {"quantity": quantity, "unit": unit, "log": root_mean_square(log), "replay": root_mean_square(replay)}
+    return row | {"difference": difference}
+
+
+def _uneven(rotors: np.ndarray) -> np.ndarray:
+    """What differs from rotor to rotor, without what always does, (k, n)."""
     apart = rotors - rotors.mean(axis=1, keepdims=True)
-    return root_mean_square(apart - apart.mean(axis=0))
+    return apart - apart.mean(axis=0)
 
 
 def summary(members: Sequence[Sequence[Row]]) -> list[Row]:

@@ -24,9 +24,10 @@ def identify(
     force: bool = False,
 ) -> dict[str, Any]:
     """Identify a vehicle from its flights. chosen: is given the method that is taken, and why. settings: of the
-    regression (vehicle_model.FitSettings). The report has `method`, and what this method gives."""
+    regression (vehicle_model.FitSettings). The report has `method`, `rows` (of one table), `lines`, and what this
+    method gives."""
     from quadexp.experiment.vehicle_of import vehicle_named
-    from quadexp.plugins.identification.identify import choose_method, identify_files
+    from quadexp.plugins.identification.identify import choose_method, identify_files, identify_flights
 
     named = None if vehicle is None else vehicle_named(vehicle, conf)
     choice = choose_method(flights, method, named)
@@ -34,19 +35,17 @@ def identify(
     if choice.method == "delays":
         from quadexp.plugins.identification.delays import identify_delays
 
-        return {"method": "delays", **identify_delays(flights, named, conf, figure)}
-    if choice.method == "torque":
+        report = identify_delays(flights, named, conf, figure)
+    elif choice.method == "torque":
         from quadexp.plugins.identification.torque import identify_torque
 
-        return {"method": "torque", **identify_torque(flights, named, conf)}
-    if choice.method == "rls":
-        estimates = identify_files(flights, out, vehicle=vehicle, conf=conf, force=force)
-        records = [{"path": path, **estimate.metadata()} for path, estimate in estimates]
-        lines = [line for path, estimate in estimates for line in (*estimate.lines(), path)]
-        return {"method": "rls", "out": out, "flights": records, "lines": lines}
+        report = identify_torque(flights, named, conf)
+    elif choice.method == "rls":
+        report = identify_files(flights, out, vehicle=named, conf=conf, force=force)
+    else:
+        from quadexp.plugins.identification.vehicle_model import FitSettings
 
-    from quadexp.plugins.identification.identify import identify_flights
-    from quadexp.plugins.identification.vehicle_model import FitSettings
-
-    regression = FitSettings(**settings)
-    return dict(identify_flights(flights, out, named, regression, force=force, figures=figures, conf=conf))
+        report = identify_flights(
+            flights, out, named, FitSettings(**settings), force=force, figures=figures, conf=conf
+        )  # fmt: skip
+    return {"method": choice.method, **report}

@@ -34,14 +34,8 @@ from quadexp.parts.settings import SEEDS, key, keyed
 from quadexp.physics.expression import Expression, split, symbols
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.aerodynamics.terms import SELF_CONSISTENT, TermMean, fit_term_mean, fit_terms, term_residual
-from quadexp.plugins.gaussian_process.gaussian_process import (
-    GaussianProcessModel,
-    GPConfig,
-    GPFeatures,
-    OutputPosterior,
-    fit_gp,
-    gaussian_process_residual,
-)
+from quadexp.plugins.gaussian_process.gaussian_process import GaussianProcessModel, GPConfig, GPFeatures, fit_gp
+from quadexp.plugins.gaussian_process.posterior import OutputPosterior, gaussian_process_residual
 from quadexp.plugins.identification.inflow import AIR_DENSITY, fit_inflow
 
 BULK = 0.01  # quantile of a feature inside which the correction counts fully
@@ -82,9 +76,7 @@ class RotorForceModel(GaussianProcessModel, frozen=True, tag="rotor_force"):
 
     def weight(self, rows: ResidualDataset) -> np.ndarray:
         """W at the rows, (k,)."""
-        return np.prod(
-            [_step(np, x, *ends) for x, ends in zip(rows.matrix(self.features).T, self.edges, strict=True)], 0
-        )
+        return np.prod(_step(np, rows.matrix(self.features), *self.edges.T), axis=1)
 
     def predict(self, rows: ResidualDataset) -> dict[str, Prediction]:
         """See Model.predict: of all three axes."""
@@ -257,14 +249,13 @@ def _worth(rows: ResidualDataset, features: tuple[str, ...], settings: RotorForc
     number = np.unique(rows.columns["flight"], return_inverse=True)[1]
     if not number.any():
         return list(AXIS)
-    before, after = np.zeros(3), np.zeros(3)
+    gained = np.zeros(3)  # squares of errors of the mean, less those with the processes
     for fold in range(FOLDS):
-        out = number % FOLDS == fold
-        kept, tested = rows.rows(~out), rows.rows(out)
+        kept, tested = rows.rows(number % FOLDS != fold), rows.rows(number % FOLDS == fold)
         mean = fit_mean(kept, settings.rotor_radius)
         outputs = _processes(_beyond(kept, mean), features, list(AXIS), settings, quiet)
         trial = RotorForceModel(outputs, mean, baseline(kept, intervals=False), features, edges_of(kept, features))
         target = tested.matrix(list(AXIS))
-        before += np.sum((target - mean.acceleration(tested)) ** 2, axis=0)
-        after += np.sum((target - trial.acceleration(tested)) ** 2, axis=0)
-    return [name for name, axis in AXIS.items() if after[axis] < before[axis]]
+        gained += np.sum((target - mean.acceleration(tested)) ** 2, axis=0)
+        gained -= np.sum((target - trial.acceleration(tested)) ** 2, axis=0)
+    return [name for name, axis in AXIS.items() if gained[axis] > 0]

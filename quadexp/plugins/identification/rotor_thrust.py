@@ -25,9 +25,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize, minimize_scalar
 
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
@@ -35,6 +37,7 @@ from quadexp.models.dataset import consecutive
 from quadexp.models.residual import VELOCITY
 from quadexp.physics.state import N_STATE, STATE_COLUMNS, in_motion, input_columns, root_mean_square
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.identification.ages import integral_of
 from quadexp.plugins.logs.samples import rotor_columns
 
 NO_LAG = 1e-12  # s, in place of 0: what is left after a step of it is 0
@@ -44,6 +47,7 @@ INDISTINCT = 0.005  # share of the variance, beside known noise, that tells noth
 WORTH = 0.05  # mean decrease of log rms from which a lag or a delay is taken to be real
 MEASURED_APART = 0.01  # of the hover thrust, rms, from which measured thrusts are others than the commands
 LARGEST_LAG, LARGEST_DELAY = 0.3, 0.12  # s
+FIRST_STEP = 0.006  # s, of a descent
 SETTLING = 0.3  # s at the beginning of a flight, when the thrusts before are not known
 LONGEST = 40.0  # s of flights that the search uses; more determine it no better
 
@@ -165,25 +169,17 @@ def mean_thrust(flight: Flight, vehicle: Vehicle, timing: Timing) -> np.ndarray:
         return flight.stack(input_columns(vehicle.n_rotors)).astype(float)[:-1]
     model = held_commands(flight, vehicle, timing)
     at = t - timing.state_delay
-    dt = np.diff(t)[:, None]
-    mean = np.diff(model.integral(at), axis=0) / dt
+    impulse = model.integral(at)
+    late = timing.state_delay
     if timing.measured:
         measured = measured_thrust(flight, vehicle)
         assert measured is not None
-        beside = measured - model.value(t)
-        area = np.concatenate([np.zeros((1, beside.shape[1])), np.cumsum((beside[1:] + beside[:-1]) / 2 * dt, axis=0)])
-        mean = mean + np.diff(_between(at, t, area, beside), axis=0) / dt
-    late = timing.state_delay + (0.0 if timing.measured else timing.delay)
-    mean[t[:-1] < t[0] + late - 1e-9] = np.nan
+        impulse += integral_of(t, measured - model.value(t))(at)
+    else:
+        late += timing.delay
+    mean = np.diff(impulse, axis=0) / np.diff(t)[:, None]
+    mean[t[:-1] < t[0] + late - ROUNDING] = np.nan
     return mean
-
-
-def _between(at: np.ndarray, t: np.ndarray, area: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Integral (j, n) at times (j,) of a piecewise linear rate (k, n), given at t (k,) with its integral there."""
-    k = (np.searchsorted(t, at, side="right") - 1).clip(0, len(t) - 2)
-    s, step = (at - t[k])[:, None], np.diff(t)[k][:, None]
-    inside = rate[k] * s + (rate[k + 1] - rate[k]) * s**2 / (2 * step)
-    return area[k] + np.where(s < 0, rate[0] * s, inside)
 
 
 @dataclass(frozen=True)
@@ -226,13 +222,18 @@ def fit_timing(
     accelerometer; taken unless the transitions show clearly another one, since it does not differentiate an estimate.
     """
     score = _Score(flights, vehicle, tables, noise or {})
-    thrusts = [measured_thrust(flight, vehicle) for flight in score.flights]
-    measured = [(flight, thrust) for flight, thrust in zip(score.flights, thrusts, strict=True) if thrust is not None]
-    by_speed = measured and len(measured) == len(score.flights)
-    timing = _by_rotor_speed(measured, vehicle, score) if by_speed else _search(score)
-    if known is not None and not by_speed:
-        residual, least = (float(np.mean(np.log(score.rms(candidate)))) for candidate in (known, timing))
-        timing = known if residual < least + WORTH else timing
+    measured = []
+    for flight in score.flights:
+        thrust = measured_thrust(flight, vehicle)
+        if thrust is not None:
+            measured.append((flight, thrust))
+    if measured and len(measured) == len(score.flights):
+        timing = _by_rotor_speed(measured, vehicle, score)
+    else:
+        timing = _search(score)
+        if known is not None:
+            residual, least = (float(np.mean(np.log(score.rms(candidate)))) for candidate in (known, timing))
+            timing = known if residual < least + WORTH else timing
     return TimingFit(timing, score.rms(Timing()), score.rms(timing))
 
 
@@ -244,43 +245,50 @@ def _settled(flight: Flight) -> np.ndarray:
 class _Score:
     """What remains of the targets under a timing, after the regression on simple terms.
 
-    flights: of LONGEST (s) altogether, evenly chosen. Of their settled transitions under the commands as thrusts: index
-    k (r,), u (r, n), targets (r, 3), terms (r, q).
+    flights: of LONGEST (s) altogether, evenly chosen. Of their settled transitions under the commands as thrusts: u
+    (r, n), targets (r, 3), terms (r, q).
     """
 
     def __init__(
         self, flights: Sequence[Flight], vehicle: Vehicle, tables: Sequence[Mapping[str, np.ndarray]],
         noise: Mapping[str, float],
     ) -> None:  # fmt: skip
-        rows = []
+        parts = []
+        seconds = 0.0
         for flight, table in zip(flights, tables, strict=True):
-            k = consecutive(np.asarray(flight.t, float), flight.columns.get("segment"))
-            if (settled := _settled(flight)[k]).any():
-                rows.append((flight, table, k, settled))
-        if not rows:
+            transition = consecutive(np.asarray(flight.t, float), flight.columns.get("segment"))
+            settled = _settled(flight)[transition]
+            if settled.any():
+                parts.append((flight, {name: column[settled] for name, column in table.items()}, transition[settled]))
+                seconds += float(flight.t[-1] - flight.t[0])
+        if not parts:
             said = f"no flight is longer than {SETTLING:g} s, too short to find how late the thrusts are"
             raise DataError(f"{said}: fly longer, or set collect.thrust=commanded")
-        rows = rows[:: max(1, round(sum(float(flight.t[-1] - flight.t[0]) for flight, *_ in rows) / LONGEST))]
-        self.flights, self._k = [flight for flight, *_ in rows], [k[settled] for _, _, k, settled in rows]
-        self._vehicle, self._noise = vehicle, np.array([noise.get(name, 0.0) for name in TARGETS])
+        parts = parts[:: max(1, round(seconds / LONGEST))]
+        self.flights = [flight for flight, _, _ in parts]
+        self._transitions = [transition for _, _, transition in parts]
+        self._vehicle = vehicle
+        self._noise = np.array([noise.get(name, 0.0) for name in TARGETS])
         # Per thrust: acceleration along z, torque about x and y.
         self._effect = np.vstack([np.full(vehicle.n_rotors, 1 / vehicle.mass), vehicle.allocation[1:3]])
-        u, v, self._target = (
-            np.concatenate([np.column_stack([table[name] for name in names])[rest] for _, table, _, rest in rows])
-            for names in (input_columns(vehicle.n_rotors), VELOCITY, TARGETS)
-        )
-        self._u, self._terms = u, np.column_stack([np.ones(len(v)), *v.T, *(v * np.abs(v)).T])
+
+        def rows(names: Sequence[str]) -> np.ndarray:
+            return np.column_stack([np.concatenate([table[name] for _, table, _ in parts]) for name in names])
+
+        self._u, self._target, v = rows(input_columns(vehicle.n_rotors)), rows(TARGETS), rows(VELOCITY)
+        self._terms = np.column_stack([np.ones(len(v)), v, v * np.abs(v)])
 
     def rms(self, timing: Timing) -> tuple[float, float, float]:
         """Of every target."""
-        flights = zip(self.flights, self._k, strict=True)
-        thrust = np.concatenate([mean_thrust(flight, self._vehicle, timing)[k] for flight, k in flights])
+        means = []
+        for flight, transition in zip(self.flights, self._transitions, strict=True):
+            means.append(mean_thrust(flight, self._vehicle, timing)[transition])
+        thrust = np.concatenate(means)
         target = self._target + (self._u - thrust) @ self._effect.T
         remaining = []
         for axis, effect in enumerate(self._effect):
-            powers = np.column_stack([thrust @ effect, thrust**2 @ effect])
-            error = target[:, axis] - _explained(np.concatenate([self._terms, powers], axis=1), target[:, axis])
-            remaining.append(root_mean_square(error))
+            design = np.column_stack([self._terms, thrust @ effect, thrust**2 @ effect])
+            remaining.append(root_mean_square(target[:, axis] - _explained(design, target[:, axis])))
         return remaining[0], remaining[1], remaining[2]
 
     def __call__(self, timing: Timing) -> float:
@@ -299,20 +307,22 @@ def _explained(design: np.ndarray, target: np.ndarray) -> np.ndarray:
 def _by_rotor_speed(measured: Sequence[tuple[Flight, np.ndarray]], vehicle: Vehicle, score: _Score) -> Timing:
     """Lag and delay of the commands by the measured thrusts of flights; the delay of the state by the residual."""
 
-    def beside(timing: Timing, scaled: bool = True) -> float:
+    def beside(timing: Timing, *, scaled: bool = True) -> float:
         """rms (N) of what is measured beside the commands; scaled: by the factors that fit, see `_scaled`."""
-        error = []
+        errors = []
         for flight, thrust in measured:
             t, rest = np.asarray(flight.t, float), _settled(flight)
             model = held_commands(flight, vehicle, timing).value(t)[rest]
-            error.append((thrust[rest] - (_scaled(model, thrust[rest], t[rest]) if scaled else model)).ravel())
-        return root_mean_square(np.concatenate(error))
+            if scaled:
+                model = _scaled(model, thrust[rest], t[rest])
+            errors.append((thrust[rest] - model).ravel())
+        return root_mean_square(np.concatenate(errors))
 
     timing = Timing()
     if beside(timing, scaled=False) > MEASURED_APART * vehicle.hover_thrust:
         floor = 1e-4 * vehicle.hover_thrust  # below it no difference counts
         timing = replace(_search(lambda at: float(np.log(beside(at) + floor))), measured=True)
-    late, least = _least(lambda at: score(replace(timing, state_delay=at[0])), LARGEST_DELAY)
+    late, least = _least(lambda state_delay: score(replace(timing, state_delay=state_delay)), LARGEST_DELAY)
     return replace(timing, state_delay=late) if least < score(timing) - WORTH else timing
 
 
@@ -326,54 +336,51 @@ def _scaled(model: np.ndarray, measured: np.ndarray, t: np.ndarray) -> np.ndarra
 def _search(score: Callable[[Timing], float]) -> Timing:
     """Timing of the least score, but the simplest that comes within WORTH of it: without any, with a lag or a delay
     alone, with both, and with a lag of its own up and down. A lag or delay alone always shows that there is one."""
+    none = Timing()
 
-    def timing(kind: str, at: Sequence[float]) -> Timing:
+    def with_lag(kind: str, lag: float) -> float:
+        return score(Timing(lag, lag, kind))
+
+    def with_both(kind: str, at: Sequence[float]) -> float:
         """Of a lag, or one up and one down, and the delay that follows them."""
-        return Timing(at[0], at[-2], kind, at[-1])
+        return score(Timing(at[0], at[-2], kind, at[-1]))
 
-    def scored(kind: str) -> Callable[[Sequence[float]], float]:
-        return lambda at: score(timing(kind, at))
+    delay = _least(lambda delay: score(Timing(delay=delay)), LARGEST_DELAY)[0]
+    lags = []
+    for kind in ("thrust", "rotor_speed"):
+        lag = _least(partial(with_lag, kind), LARGEST_LAG)[0]
+        lags.append(Timing(lag, lag, kind))
+    alone = [Timing(delay=delay), *lags]
+    if min(map(score, alone)) > score(none) - WORTH:
+        return none
+    both = []
+    apart = []
+    for first in lags:
+        kind = first.lag_of
+        lag, late = _descent(partial(with_both, kind), [first.lag / 2, delay / 2])
+        up, down, behind = _descent(partial(with_both, kind), [lag, lag, late])
+        both.append(Timing(lag, lag, kind, late))
+        apart += [Timing(up, down, kind), Timing(up, down, kind, behind)]
+    best = [min(group, key=score) for group in ([none], alone, both, apart)]
+    scores = list(map(score, best))
+    return next(timing for timing, value in zip(best, scores, strict=True) if value <= min(scores) + WORTH)
 
-    delay = _least(lambda at: score(Timing(delay=at[0])), LARGEST_DELAY)[0]
-    kinds, both, apart = ("thrust", "rotor_speed"), [], []
-    alone = [Timing(delay=delay), *(timing(kind, (_least(scored(kind), LARGEST_LAG)[0], 0.0)) for kind in kinds)]
-    if min(map(score, alone)) > score(Timing()) - WORTH:
-        return Timing()
-    for first in alone[1:]:
-        lag, late = _descent(scored(first.lag_of), (first.lag / 2, delay / 2))
-        up, down, behind = _descent(scored(first.lag_of), (lag, lag, late))
-        both.append(Timing(lag, lag, first.lag_of, late))
-        apart += [Timing(up, down, first.lag_of), Timing(up, down, first.lag_of, behind)]
-    groups = [[Timing()], alone, both, apart]
-    scores = [[score(candidate) for candidate in group] for group in groups]
-    least = min(map(min, scores))
-    simplest = next(i for i, values in enumerate(scores) if min(values) <= least + WORTH)
-    return groups[simplest][int(np.argmin(scores[simplest]))]
 
-
-def _descent(score: Callable[[Sequence[float]], float], start: tuple[float, ...]) -> tuple[float, ...]:
+def _descent(score: Callable[[np.ndarray], float], start: Sequence[float]) -> list[float]:
     """Where a score of lags and, last, a delay (s) is least, from `start`; what is under 0.1 ms is 0."""
-    from scipy.optimize import minimize
-
-    largest = np.array([LARGEST_LAG] * (len(start) - 1) + [LARGEST_DELAY])
-
-    def inside(at: np.ndarray) -> float:
-        return score(tuple(np.clip(at, 0.0, largest).tolist())) + float(np.sum(np.maximum(-at, 0.0)))
-
-    simplex = np.array(start) + np.vstack([np.zeros(len(start)), 0.006 * np.eye(len(start))])
+    bounds = [(0.0, LARGEST_LAG)] * (len(start) - 1) + [(0.0, LARGEST_DELAY)]
+    simplex = np.array(start) + np.vstack([np.zeros(len(start)), FIRST_STEP * np.eye(len(start))])
     options = {"initial_simplex": simplex, "xatol": 3e-5, "fatol": 1e-5, "maxfev": 60 * len(start)}
-    best = np.clip(minimize(inside, np.array(start), method="Nelder-Mead", options=options).x, 0.0, largest)
-    return tuple(float(value) if value > 1e-4 else 0.0 for value in best)
+    best = minimize(score, np.array(start), method="Nelder-Mead", bounds=bounds, options=options).x
+    return [float(value) if value > 1e-4 else 0.0 for value in best]
 
 
-def _least(score: Callable[[Sequence[float]], float], largest: float) -> tuple[float, float]:
-    """Where a score of a lag or delay alone, (it, 0), is least up to `largest`, and the score there; the grid's steps
-    grow with the value."""
-    from scipy.optimize import minimize_scalar
-
-    grid = np.concatenate([[0.0], np.geomspace(0.003, largest, 10)])
-    scores = [score((float(at), 0.0)) for at in grid]
+def _least(score: Callable[[float], float], largest: float) -> tuple[float, float]:
+    """Where a score of a lag or delay alone is least up to `largest`, and the score there; the grid's steps grow with
+    the value."""
+    grid = np.concatenate([[0.0], np.geomspace(0.003, largest, 10)]).tolist()
+    scores = [score(at) for at in grid]
     k = int(np.argmin(scores))
     bounds = (grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)])
-    best = minimize_scalar(lambda at: score((at, 0.0)), bounds=bounds, method="bounded", options={"xatol": 2e-5})
-    return (float(best.x), float(best.fun)) if best.fun < scores[k] else (float(grid[k]), float(scores[k]))
+    best = minimize_scalar(score, bounds=bounds, method="bounded", options={"xatol": 2e-5})
+    return (float(best.x), float(best.fun)) if best.fun < scores[k] else (grid[k], scores[k])

@@ -16,9 +16,8 @@ flight it cannot be distinguished from c_1 and c_2. It counts as thrust. Command
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
 import numpy as np
@@ -98,6 +97,12 @@ class ThrustCurve(Record, frozen=True):
         terms = [c * scaled**power for c, power in zip(self.coefficients, self.powers, strict=True)]
         return np.sum(terms, axis=0) + self.intercept / self.rotors
 
+    def collective(self, signal: np.ndarray) -> np.ndarray:
+        """Acceleration of all rotors at the same signal, at the reference voltage: (k,) m/s^2 of (k,)."""
+        columns = 1 if self.signal == "thrust_acceleration" else self.rotors
+        voltage = np.full(len(signal), self.reference_voltage)
+        return self.of_signal(np.tile(signal[:, None], columns), voltage).sum(axis=1)
+
     @property
     def has_intercept(self) -> bool:
         """Whether an intercept was fitted."""
@@ -138,10 +143,42 @@ def scaled_signal(
     return signal * ((voltage / reference_voltage) ** exponent)[:, None]
 
 
-def thrust_design(scaled: np.ndarray, powers: Sequence[float], *, intercept: bool) -> np.ndarray:
-    """Regressors of the curve, (k, p): sum_i s_i^p of every power; then 1 if there is an intercept."""
-    ones = [np.ones(len(scaled))] if intercept else []
-    return np.column_stack([np.sum(scaled**p, axis=1) for p in powers] + ones)
+class CurveDesign(NamedTuple):
+    """Columns of the regression of the specific force along z: sum_i s'_i^p of every power, 1 if there is an intercept,
+    -v_z if the drag is fitted. reference_voltage: V."""
+
+    powers: tuple[int, ...]
+    intercept: bool
+    reference_voltage: float
+    drag: bool = True
+
+    @property
+    def names(self) -> list[str]:
+        """Of the columns."""
+        return [*(f"c_{power}" for power in self.powers), *["b_z"] * self.intercept, *[DRAG_Z] * self.drag]
+
+    def columns(self, samples: Samples, exponent: float) -> np.ndarray:
+        """(k, p)."""
+        scaled = scaled_signal(samples.signal, samples.voltage, self.reference_voltage, exponent)
+        columns = [np.sum(scaled**power, axis=1) for power in self.powers]
+        if self.intercept:
+            columns.append(np.ones(len(samples)))
+        if self.drag:
+            columns.append(-samples.velocity[:, 2])
+        return np.column_stack(columns)
+
+    def least_exponent(self, samples: Samples) -> float:
+        """The exponent with the least sum of squared residuals."""
+        from scipy.optimize import minimize_scalar
+
+        target = samples.force[:, 2]
+
+        def squares(exponent: float) -> float:
+            columns = self.columns(samples, exponent)
+            residual = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
+            return float(residual @ residual)
+
+        return float(minimize_scalar(squares, bounds=EXPONENT_RANGE, method="bounded", options={"xatol": 1e-7}).x)
 
 
 @dataclass(frozen=True)
@@ -173,74 +210,72 @@ def fit_thrust_samples(
     """Fit the curve to the specific force along body z; returns it with its regression.
 
     samples: from `gather`. drag: fit d_z too. intervals: False computes errors for independent samples only, and none
-    for g. The regression's columns are those of `thrust_design`, then d_z.
+    for g. The regression's columns are those of `CurveDesign`.
     Raises DataError where a voltage is missing or the data do not determine the curve.
     """
     settings = settings or CurveSettings()
     kind = samples.kind
-    powers, intercept = tuple(settings.powers or POWERS[kind]), kind in INTERCEPT
-    reference = settings.voltage_for(samples)
-    names = [*(f"c_{p}" for p in powers), *["b_z"] * intercept, *[DRAG_Z] * drag]
+    powers = tuple(settings.powers or POWERS[kind])
+    design = CurveDesign(powers, kind in INTERCEPT, settings.voltage_for(samples), drag)
+    reference = design.reference_voltage
+    fit_exponent = settings.voltage_exponent is None and bool(reference)
+    exponent = 1.0 if settings.voltage_exponent is None else settings.voltage_exponent
+    if fit_exponent:
+        exponent = design.least_exponent(samples.thinned(SEARCH_SAMPLES))
 
-    def design(part: Samples, g: float) -> np.ndarray:
-        columns = thrust_design(scaled_signal(part.signal, part.voltage, reference, g), powers, intercept=intercept)
-        return np.column_stack([columns, -part.velocity[:, 2]]) if drag else columns
-
-    def fit(design: np.ndarray, names: list[str]) -> Regression:
+    def fit(columns: np.ndarray, names: list[str]) -> Regression:
         return regress(
-            design, samples.force[:, 2], names, samples.segment, samples.flight,
+            columns, samples.force[:, 2], names, samples.segment, samples.flight,
             what=f"thrust curve on {kind}", intervals=intervals,
         )  # fmt: skip
 
-    rotors = samples.signal.shape[1] if kind != "thrust_acceleration" else 4  # which share it
-    q, g, g_error = len(powers), settings.voltage_exponent, 0.0
-    fit_exponent = g is None and bool(reference)
-    if g is None:
-        g = _search_exponent(samples.thinned(SEARCH_SAMPLES), design) if fit_exponent else 1.0
-    regression = fit(design(samples, g), names)
+    columns = design.columns(samples, exponent)
+    regression = fit(columns, design.names)
     if samples.later is not None and intervals:  # one standard error of the delay
-        behind = fit(design(replace(samples, signal=samples.later), g), names).coefficients - regression.coefficients
+        later = fit(design.columns(replace(samples, signal=samples.later), exponent), design.names)
+        behind = later.coefficients - regression.coefficients
         regression = replace(regression, covariance=regression.covariance + np.outer(behind, behind))
-    scaled = scaled_signal(samples.signal, samples.voltage, reference, g)
+    scaled = scaled_signal(samples.signal, samples.voltage, reference, exponent)
+    count = len(powers)
+    exponent_error = 0.0
     if fit_exponent and intervals:  # the regression linearised in g, with da/dg as a further column
-        slope = sum(c * p * scaled**p for c, p in zip(regression.coefficients, powers, strict=False)).sum(axis=1)
-        relative_voltage = scaled_signal(np.ones((len(samples), 1)), samples.voltage, reference)[:, 0]
-        at = q + intercept
-        columns = np.insert(design(samples, g), at, slope * np.log(relative_voltage), axis=1)
-        joint = fit(columns, [*names[:at], "g", *names[at:]])
+        assert samples.voltage is not None
+        terms = [c * p * scaled**p for c, p in zip(regression.coefficients, powers, strict=False)]
+        by_exponent = np.sum(terms, axis=0).sum(axis=1) * np.log(samples.voltage / reference)
+        at = count + design.intercept
+        joint = fit(np.insert(columns, at, by_exponent, axis=1), np.insert(design.names, at, "g").tolist())
+        exponent_error = float(joint.errors[at])
         others = np.arange(len(joint.names)) != at
         regression = replace(
-            regression, covariance=joint.covariance[np.ix_(others, others)], freedom=joint.freedom + 1,  # without g
-            condition=joint.condition,
+            regression, covariance=joint.covariance[np.ix_(others, others)], condition=joint.condition,
+            freedom=joint.freedom + 1,  # without g
         )  # fmt: skip
-        g_error = float(joint.errors[at])
     value, error = regression.coefficients, regression.errors
     curve = ThrustCurve(
-        kind, np.array(powers, float), value[:q], error[:q], reference, float(g), g_error,
-        float(value[q]) if intercept else 0.0, float(error[q]) if intercept else 0.0, rotors,
-        float(value[-1]) if drag else 0.0, float(error[-1]) if drag else 0.0, int(regression.freedom),
-        regression.condition, root_mean_square(regression.residual), np.array([scaled.min(), scaled.max()]),
-        delay=samples.delay, lag=samples.lag, covariance=regression.covariance[:q, :q],
-    )  # fmt: skip
+        kind,
+        np.array(powers, float),
+        value[:count],
+        error[:count],
+        reference_voltage=reference,
+        voltage_exponent=float(exponent),
+        voltage_exponent_error=exponent_error,
+        intercept=float(value[count]) if design.intercept else 0.0,
+        intercept_error=float(error[count]) if design.intercept else 0.0,
+        rotors=4 if kind == "thrust_acceleration" else samples.signal.shape[1],  # which share a logged acceleration
+        drag_z=float(value[-1]) if drag else 0.0,
+        drag_z_error=float(error[-1]) if drag else 0.0,
+        freedom=int(regression.freedom),
+        condition=regression.condition,
+        residual_std=root_mean_square(regression.residual),
+        signal_range=np.array([scaled.min(), scaled.max()]),
+        delay=samples.delay,
+        lag=samples.lag,
+        covariance=regression.covariance[:count, :count],
+    )
     return curve, regression
-
-
-def _search_exponent(samples: Samples, design: Callable[[Samples, float], np.ndarray]) -> float:
-    """The g with the least sum of squared residuals."""
-    from scipy.optimize import minimize_scalar
-
-    target = samples.force[:, 2]
-
-    def squares(g: float) -> float:
-        columns = design(samples, g)
-        residual = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
-        return float(residual @ residual)
-
-    return float(minimize_scalar(squares, bounds=EXPONENT_RANGE, method="bounded", options={"xatol": 1e-7}).x)
 
 
 def thrust_columns(curve: ThrustCurve, samples: Samples) -> np.ndarray:
     """The regressors of a curve, with that of d_z as the last column, (k, p)."""
-    scaled = scaled_signal(samples.signal, samples.voltage, curve.reference_voltage, curve.voltage_exponent)
-    design = thrust_design(scaled, curve.powers.astype(int).tolist(), intercept=curve.has_intercept)
-    return np.column_stack([design, -samples.velocity[:, 2]])
+    design = CurveDesign(tuple(curve.powers.astype(int).tolist()), curve.has_intercept, curve.reference_voltage)
+    return design.columns(samples, curve.voltage_exponent)

@@ -28,26 +28,26 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
+from scipy.special import huber
 
 from quadexp.errors import DataError, UsageError
 from quadexp.log.schema import Flight
-from quadexp.models.regression import half_width
+from quadexp.models.regression import HUBER, MAD_TO_STD, half_width
 from quadexp.parts.options import Folders
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.aerodynamics.blocks import regress
 from quadexp.plugins.identification.recorded import read_recorded
 from quadexp.plugins.identification.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples
 from quadexp.plugins.identification.torque_gain import TorqueGain, gains, own_timing
-from quadexp.plugins.identification.turning import AXES, LEAST, OTHER, Turning, speed_of, turnings
+from quadexp.plugins.identification.turning import AXES, LEAST, OTHER, Turning, regressed, speed_of, turnings
 from quadexp.plugins.logs.samples import COMMANDS, Samples, gather_to_fit, read_rows
 from quadexp.plugins.logs.vehicle_of import own_vehicle
 from quadexp.report.table import Table
 
 LOW, HIGH = 1.0, 15.0  # Hz
 EDGE = 0.4  # s, where the filters settle
-HORIZON, STRIDE = 0.5, 0.1  # s: of a rollout of the fit, and between their starts
+HORIZON = 0.5  # s, of a rollout of the fit
 DAMPING = (-2.0, 25.0)  # 1/s, searched
-HUBER = 1.345  # deviations: 95 % efficiency on normal errors (Huber 1981)
+REWEIGHTINGS = 4  # of Huber's loss
 HORIZONS = (0.1, 0.5, 1.0)  # s
 BETTER = 0.95  # of another error: what is worth naming
 NO_YAW = "yaw: no number to use: motor commands do not tell what the rotors' own inertia turns besides"
@@ -77,25 +77,16 @@ def band(values: np.ndarray, dt: float, low: float) -> np.ndarray:
 
 def equation_error(data: Sequence[Turning], axis: int, low: float) -> tuple[AxisModel, float]:
     """The constants by regression of w' above `low` Hz, and the half width of the gain's 95 % interval."""
-    design, target, stretch, flight = [], [], [], []
-    for number, turning in enumerate(data):
+    parts = []
+    for turning in data:
         columns = np.delete(turning.columns(axis), 1, axis=1)  # the offset is the mean
         columns = np.column_stack([columns, turning.damped(axis), turning.acceleration[:, axis]])
-        passed = band(columns, turning.dt, low)
-        design.append(passed[:, :-1])
-        target.append(passed[:, -1])
-        stretch.append(np.full(len(passed), number))
-        flight.append(np.full(len(passed), turning.flight))
-    names = ["torque", *(["flapping"] if OTHER[axis] is not None else []), "damping"]
-    fit = regress(
-        np.concatenate(design), np.concatenate(target), names, np.concatenate(stretch), np.concatenate(flight),
-        what=f"torque about {AXES[axis]}",
-    )  # fmt: skip
-    theta, damping = np.insert(fit.coefficients[:-1], 1, 0.0), float(fit.coefficients[-1])
-    model = AxisModel(theta, damping, motors=True)
-    theta[1] = np.concatenate(
-        [turning.acceleration[:, axis] - predicted(turning, axis, model) for turning in data]
-    ).mean()
+        parts.append(band(columns, turning.dt, low))
+    fit = regressed(data, axis, parts, offset=False)
+    *slopes, damping = fit.coefficients.tolist()
+    model = AxisModel(np.insert(slopes, 1, 0.0), damping, motors=True)
+    remaining = [turning.acceleration[:, axis] - predicted(turning, axis, model) for turning in data]
+    model.theta[1] = np.concatenate(remaining).mean()
     return model, float(half_width(fit.errors[0], fit.freedom))
 
 
@@ -108,15 +99,17 @@ def output_error(data: Sequence[Turning], axis: int, *, motors: bool) -> AxisMod
     """The constants that leave least of rollouts over HORIZON."""
 
     def solved(damping: float) -> tuple[float, np.ndarray]:
-        parts = [_rollouts(turning, axis, damping, motors) for turning in data]
-        design, target = (np.concatenate(each) for each in zip(*parts, strict=True))
+        """Huber's loss, by reweighting, and theta."""
+        rollouts = [_rollouts(turning, axis, damping, motors) for turning in data]
+        design = np.concatenate([columns for columns, _ in rollouts])
+        target = np.concatenate([change for _, change in rollouts])
         weight = np.ones(len(target))
-        for _ in range(4):
+        for _ in range(REWEIGHTINGS):
             theta = np.linalg.lstsq(design * weight[:, None], target * weight, rcond=None)[0]
             error = np.abs(target - design @ theta)
-            limit = HUBER * 1.4826 * float(np.median(error))
+            limit = HUBER * MAD_TO_STD * float(np.median(error))
             weight = np.sqrt(np.minimum(1.0, limit / np.maximum(error, 1e-12)))
-        return float(np.where(error < limit, error**2 / 2, limit * (error - limit / 2)).mean()), theta
+        return float(huber(limit, error).mean()), theta
 
     best = minimize_scalar(lambda damping: solved(damping)[0], bounds=DAMPING, method="bounded", options={"xatol": 0.1})
     return AxisModel(solved(best.x)[1], float(best.x), motors)
@@ -124,11 +117,15 @@ def output_error(data: Sequence[Turning], axis: int, *, motors: bool) -> AxisMod
 
 def _rollouts(turning: Turning, axis: int, damping: float, motors: bool) -> tuple[np.ndarray, np.ndarray]:
     """Design (n, p) and target (n,) of all samples of all rollouts, weighted as their errors grow with time."""
-    h, steps = turning.dt, round(HORIZON / turning.dt)
-    starts = np.arange(0, len(turning.spin) - steps, max(1, round(STRIDE / h)))
-    columns, rate = turning.columns(axis, motors=motors), turning.rate[:, axis]
-    response, free = np.zeros((len(starts), columns.shape[1])), rate[starts]
-    design, target = [], []
+    h = turning.dt
+    steps = round(HORIZON / h)
+    starts = turning.starts(steps)
+    columns = turning.columns(axis, motors=motors)
+    rate = turning.rate[:, axis]
+    response = np.zeros((len(starts), columns.shape[1]))  # of the rate to theta
+    free = rate[starts]  # without it
+    design = []
+    target = []
     for step in range(steps):
         at = starts + step
         kept = 1 - h * damping * turning.spin[at]
@@ -145,12 +142,14 @@ def attitude_errors(turning: Turning, models: Sequence[AxisModel] | None) -> np.
     held. The velocity is measured."""
     h = turning.dt
     ends = [max(1, round(horizon / h)) for horizon in HORIZONS]
-    starts = np.arange(0, len(turning.spin) - ends[-1], max(1, round(STRIDE / h)))
-    columns = [turning.columns(axis, motors=models[axis].motors) for axis in range(3)] if models else []
-    rate, attitude = turning.rate[starts], turning.attitude[starts]
+    starts = turning.starts(ends[-1])
+    columns = [turning.columns(axis, motors=model.motors) for axis, model in enumerate(models or ())]
+    rate = turning.rate[starts]
+    attitude = turning.attitude[starts]
     errors = []
     for step in range(ends[-1]):
-        at, change = starts + step, np.zeros_like(rate)
+        at = starts + step
+        change = np.zeros_like(rate)
         for axis, model in enumerate(models or ()):
             change[:, axis] = model.acceleration(columns[axis][at], turning.spin[at], rate[:, axis])
         attitude = attitude * Rotation.from_rotvec(h * (rate + h * change / 2))
@@ -211,7 +210,7 @@ def torque_data(
 
 def identify_torque(paths: Sequence[Path], vehicle: Vehicle | None, conf: Folders = None) -> dict[str, Any]:
     """{"axes": gain and errors of each axis, "rollouts": of each model, "shown": whether the flights show the torque,
-    "lines"}. vehicle: None: that recorded in the flights.
+    "rows", "lines"}. vehicle: None: that recorded in the flights.
 
     Raises DataError where a signal of every rotor is missing or the flights are too short, UsageError where the
     vehicle is not known."""
@@ -223,6 +222,7 @@ def identify_torque(paths: Sequence[Path], vehicle: Vehicle | None, conf: Folder
         raise UsageError(f"{paths[0]}: its vehicle is not known here, whose arms torque needs; name it: --vehicle NAME")
     data = torque_data(flights, names, vehicle, gather_to_fit(flights, None, names))
     report = judged(data, vehicle) | {"thrust": str(data.curve), "vehicle": vehicle.name}
+    report["rows"] = report["axes"]
     if data.curve.signal == "motor_command":
         report["lines"].append(NO_YAW)
     return report
@@ -239,31 +239,44 @@ def judged(torque: TorqueData, vehicle: Vehicle) -> dict[str, Any]:
     """See `identify_torque`."""
     data = torque.turnings
     arms = np.abs(vehicle.allocation[1:]).mean(axis=1)
-    inverse = 1 / np.diag(vehicle.inertia_matrix)
-    axes: list[dict[str, Any]] = []
-    for axis, (name, gain) in enumerate(zip(AXES, gains(torque.variants), strict=True)):
-        value, low, high = (float(arms[axis] * number) for number in gain)
-        in_band = float(arms[axis] * equation_error(data, axis, LOW)[0].theta[0])
-        whole = equation_error(data, axis, 0.0)[0]  # flapping follows the velocity, which changes below 1 Hz
-        row = {"axis": name, "gain": value, "low": low, "high": high, "in_band": in_band}
-        flapping = None if OTHER[axis] is None else float(whole.theta[2])
-        row |= {"vehicle_file": float(arms[axis] * inverse[axis]), "damping": whole.damping, "flapping": flapping}
-        axes.append(row)
-    held, rows = np.zeros((2, 3)), 0
-    for fitted, tested in folds(data):
-        regressions = [equation_error(fitted, axis, 0.0)[0] for axis in range(3)]
-        for turning in tested:
-            for axis, model in enumerate(regressions):
-                both = np.column_stack([turning.acceleration[:, axis], predicted(turning, axis, model)])
-                target, guess = band(both, turning.dt, 0.0).T
-                held[:, axis] += np.sum(target**2), np.sum((target - guess) ** 2)
-            rows += len(target)
-    for axis, row in enumerate(axes):
-        row["held_rms"], row["model_rms"] = np.sqrt(held[:, axis] / rows).tolist()
+    inertia = np.diag(vehicle.inertia_matrix)
+    held_rms, model_rms = torque_errors(data)
+    axes = []
+    for axis, gain in enumerate(gains(torque.variants)):
+        arm = float(arms[axis])
+        in_band, _ = equation_error(data, axis, LOW)
+        whole, _ = equation_error(data, axis, 0.0)  # flapping follows the velocity, which changes below 1 Hz
+        axes.append({
+            "axis": AXES[axis],
+            "gain": arm * gain.value,
+            "low": arm * gain.low,
+            "high": arm * gain.high,
+            "in_band": arm * float(in_band.theta[0]),
+            "vehicle_file": arm / float(inertia[axis]),
+            "damping": whole.damping,
+            "flapping": None if OTHER[axis] is None else float(whole.theta[2]),
+            "held_rms": float(held_rms[axis]),
+            "model_rms": float(model_rms[axis]),
+        })  # fmt: skip
     rollouts = replayed(data)
-    explained = any(row["model_rms"] < BETTER * row["held_rms"] for row in axes[:2])
-    report = {"axes": axes, "rollouts": rollouts, "shown": explained and beats_blind(rollouts)}
+    explained = (model_rms < BETTER * held_rms)[:2].any()
+    report = {"axes": axes, "rollouts": rollouts, "shown": bool(explained and beats_blind(rollouts))}
     return report | {"lines": torque_lines(report)}
+
+
+def torque_errors(data: Sequence[Turning]) -> tuple[np.ndarray, np.ndarray]:
+    """RMS below HIGH Hz on flights left out, (3,) each (rad/s^2): of w', and of what equation error leaves of it."""
+    held = []
+    remaining = []
+    for fitted, tested in folds(data):
+        models = [equation_error(fitted, axis, 0.0)[0] for axis in range(3)]
+        for turning in tested:
+            guess = np.column_stack([predicted(turning, axis, model) for axis, model in enumerate(models)])
+            target = band(turning.acceleration, turning.dt, 0.0)
+            held.append(target)
+            remaining.append(target - band(guess, turning.dt, 0.0))
+    held_rms, model_rms = (np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)) for parts in (held, remaining))
+    return held_rms, model_rms
 
 
 HELD, BLIND, REPLAY = "rates held", "blind to the motors", "replay model"
@@ -299,9 +312,8 @@ def folds(data: Sequence[Turning]) -> list[tuple[list[Turning], list[Turning]]]:
     """Fitted and tested: each flight left out once; of one flight each half."""
     numbers = sorted({turning.flight for turning in data})
     if len(numbers) == 1:
-        middles = [len(turning.rate) // 2 for turning in data]
-        first = [turning.part(0, middle) for turning, middle in zip(data, middles, strict=True)]
-        second = [turning.part(middle, len(turning.rate)) for turning, middle in zip(data, middles, strict=True)]
+        first = [turning.part(0, len(turning.rate) // 2) for turning in data]
+        second = [turning.part(len(turning.rate) // 2, len(turning.rate)) for turning in data]
         return [(first, second), (second, first)]
     folds = []
     for number in numbers:
@@ -312,12 +324,19 @@ def folds(data: Sequence[Turning]) -> list[tuple[list[Turning], list[Turning]]]:
 
 def torque_lines(report: dict[str, Any]) -> list[str]:
     """The three things, in words."""
-    rows, errors = [], []
+    rows = []
+    errors = []
     for row in report["axes"]:
-        ratio = row["gain"] / row["vehicle_file"]
-        numbers = [f"{row['gain']:.4g}", f"[{row['low']:.4g}, {row['high']:.4g}]", f"{row['vehicle_file']:.4g}"]
-        flapping = "" if row["flapping"] is None else f"{row['flapping']:.3g}"
-        rows.append([row["axis"], *numbers, f"{ratio:.2f}", f"{row['in_band']:.4g}", f"{row['damping']:.3g}", flapping])
+        rows.append([
+            row["axis"],
+            f"{row['gain']:.4g}",
+            f"[{row['low']:.4g}, {row['high']:.4g}]",
+            f"{row['vehicle_file']:.4g}",
+            f"{row['gain'] / row['vehicle_file']:.2f}",
+            f"{row['in_band']:.4g}",
+            f"{row['damping']:.3g}",
+            "" if row["flapping"] is None else f"{row['flapping']:.3g}",
+        ])  # fmt: skip
         share = 100 * (row["model_rms"] / row["held_rms"] - 1)
         errors.append([row["axis"], f"{row['held_rms']:.3g}", f"{row['model_rms']:.3g}", f"{share:+.0f} %"])
     heads = ["axis", "gain", "95 %", "arm c / J of the file", "ratio", "1 to 15 Hz", "damping (1/s)"]

@@ -16,6 +16,7 @@ departure of all of them, and of the mean of three flights or more, plus the lar
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -24,8 +25,7 @@ import numpy as np
 from quadexp.errors import DataError
 from quadexp.models.base import Record, Three
 from quadexp.models.regression import LEAST_FLIGHTS, half_width
-from quadexp.plugins.aerodynamics.blocks import regress
-from quadexp.plugins.identification.turning import AXES, OTHER, Turning
+from quadexp.plugins.identification.turning import AXES, Turning, regressed
 
 DEAD_TIMES = (0.0, 0.01, 0.02, 0.03, 0.045, 0.06)  # s, tried for the turning
 LAGS = (0.0, 0.02, 0.04, 0.06, 0.08, 0.12)  # s
@@ -68,49 +68,38 @@ class TorqueGain(Record, frozen=True):
 
     def record(self) -> list[dict[str, Any]]:
         """JSON types, a row an axis."""
-        columns = zip(AXES, self.ratio.tolist(), self.low.tolist(), self.high.tolist(), self.used, strict=True)
-        return [
-            {"axis": axis, "ratio": ratio, "low": low, "high": high, "used": used is not None}
-            for axis, ratio, low, high, used in columns
-        ]
+        rows = []
+        for i, axis in enumerate(AXES):
+            row = {"axis": axis, "ratio": float(self.ratio[i]), "low": float(self.low[i]), "high": float(self.high[i])}
+            rows.append(row | {"used": bool(self.is_known[i])})
+        return rows
 
     def __str__(self) -> str:
         parts = []
         for row in self.record():
             text = f"{row['axis']} {row['ratio']:.3g} [{row['low']:.3g}, {row['high']:.3g}]"
-            why = (
-                "motor commands do not tell it"
-                if row["axis"] == "yaw" and self.of_commands
-                else "not shown well enough"
-            )
-            parts.append(text if row["used"] else f"{text} ({why}: the file's is used)")
+            if not row["used"]:
+                by_commands = row["axis"] == "yaw" and self.of_commands
+                why = "motor commands do not tell it" if by_commands else "not shown well enough"
+                text += f" ({why}: the file's is used)"
+            parts.append(text)
         return f"over that of the vehicle file's arms and inertia (arm c / J), 95 %: {', '.join(parts)}"
 
 
 def prediction_error(data: Sequence[Turning], axis: int, *, intervals: bool = True) -> tuple[float, float, float]:
     """Gain, half its 95 % interval, and the mean square of what is left. intervals: see `regress`."""
-    # The rate at the beginning of an interval: that of its middle holds part of e_k.
-    columns = [np.column_stack([turn.columns(axis), -turn.spin * turn.rate[:-1, axis]]) for turn in data]
-    target = [turning.acceleration[:, axis] for turning in data]
-    stretch = np.repeat(np.arange(len(data)), [len(part) - 1 for part in target])
-    flight = np.repeat([turning.flight for turning in data], [len(part) - 1 for part in target])
-    names = ["torque", "offset", *(["flapping"] if OTHER[axis] is not None else []), "damping"]
-    kept = 0.0
-    for last in range(ROUNDS):
-        design = np.concatenate([part[1:] - kept * part[:-1] for part in columns])
-        wanted = np.concatenate([part[1:] - kept * part[:-1] for part in target])
-        fit = regress(
-            design,
-            wanted,
-            names,
-            stretch,
-            flight,
-            what=f"torque about {AXES[axis]}",
-            intervals=intervals and last == ROUNDS - 1,
-        )
-        errors = [part - column @ fit.coefficients for part, column in zip(target, columns, strict=True)]
+    parts = []
+    for turning in data:
+        # The rate at the beginning of an interval: that of its middle holds part of e_k.
+        damped = -turning.spin * turning.rate[:-1, axis]
+        parts.append(np.column_stack([turning.columns(axis), damped, turning.acceleration[:, axis]]))
+    correlation = 0.0
+    for number in range(ROUNDS):
+        white = [part[1:] - correlation * part[:-1] for part in parts]
+        fit = regressed(data, axis, white, intervals=intervals and number == ROUNDS - 1)
+        errors = [part[:, -1] - part[:, :-1] @ fit.coefficients for part in parts]
         power = sum(error[:-1] @ error[:-1] for error in errors)
-        kept = float(np.clip(sum(error[1:] @ error[:-1] for error in errors) / power, -0.95, 0.95))
+        correlation = float(np.clip(sum(error[1:] @ error[:-1] for error in errors) / power, -0.95, 0.95))
     half = half_width(fit.errors[0], fit.freedom)
     return float(fit.coefficients[0]), float(half), float(np.mean(fit.residual**2))
 
@@ -143,15 +132,12 @@ def gains(variants: Sequence[Sequence[Turning]]) -> list[Gain]:
 
 def _between(data: Sequence[Turning], axis: int) -> list[tuple[float, float]]:
     """Mean over flights and half its interval; [] of too few."""
-    numbers = sorted({turning.flight for turning in data})
     each = []
-    for number in numbers:
-        try:
-            each.append(
-                prediction_error([turning for turning in data if turning.flight == number], axis, intervals=False)[0]
-            )
-        except DataError:  # too short alone
-            continue
+    for number in {turning.flight for turning in data}:
+        of_flight = [turning for turning in data if turning.flight == number]
+        with suppress(DataError):  # too short alone
+            each.append(prediction_error(of_flight, axis, intervals=False)[0])
     if len(each) < LEAST_FLIGHTS:
         return []
-    return [(float(np.mean(each)), float(half_width(np.std(each, ddof=1) / np.sqrt(len(each)), len(each) - 1)))]
+    error = np.std(each, ddof=1) / np.sqrt(len(each))
+    return [(float(np.mean(each)), float(half_width(error, len(each) - 1)))]

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from quadexp.log.runs import runs
+from quadexp.models.regression import Regression
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugins.aerodynamics.blocks import regress
 from quadexp.plugins.identification.thrust_curve import ThrustCurve
-from quadexp.plugins.logs.samples import QUATERNION, FlightRows
+from quadexp.plugins.logs.samples import QUATERNION, FlightRows, Samples
 
+STRIDE = 0.1  # s, between the starts of rollouts
 LEAST = 6.0  # s of a stretch
 AXES = ("roll", "pitch", "yaw")
 OTHER = (1, 0, None)  # axis of the velocity that makes the blades flap
@@ -41,11 +46,30 @@ class Turning(NamedTuple):
         """-S w, (k - 1,)."""
         return -self.spin * (self.rate[:-1, axis] + self.rate[1:, axis]) / 2
 
+    def starts(self, steps: int) -> np.ndarray:
+        """Samples from which rollouts of so many steps begin, STRIDE apart."""
+        return np.arange(0, len(self.spin) - steps, max(1, round(STRIDE / self.dt)))
+
     def part(self, first: int, last: int) -> Turning:
         """Samples first .. last - 1."""
         inner = slice(first, last - 1)
         rows = {name: getattr(self, name)[inner] for name in ("torque", "spin", "velocity")}
         return self._replace(rate=self.rate[first:last], attitude=self.attitude[first:last], **rows)
+
+
+def regressed(
+    data: Sequence[Turning], axis: int, parts: Sequence[np.ndarray], *, offset: bool = True, intervals: bool = True
+) -> Regression:
+    """w' of an axis on torque, one (unless `offset` is False), flapping where there is any, and damping.
+
+    parts: of each stretch these columns and, last, w'. Raises as `regress` does."""
+    names = ["torque", *["offset"] * offset, *["flapping"] * (OTHER[axis] is not None), "damping"]
+    rows = np.concatenate(parts)
+    lengths = [len(part) for part in parts]
+    stretch = np.repeat(np.arange(len(data)), lengths)
+    flight = np.repeat([turning.flight for turning in data], lengths)
+    what = f"torque about {AXES[axis]}"
+    return regress(rows[:, :-1], rows[:, -1], names, stretch, flight, what=what, intervals=intervals)
 
 
 def regressors(axis: int, torque: np.ndarray | None, spin: np.ndarray, velocity: np.ndarray) -> np.ndarray:
@@ -61,18 +85,30 @@ def regressors(axis: int, torque: np.ndarray | None, spin: np.ndarray, velocity:
 def turnings(rows: FlightRows, curve: ThrustCurve, vehicle: Vehicle, flight: int, mean_speed: float) -> list[Turning]:
     """The stretches of a flight that are long enough. mean_speed: sum of the rotor speeds that S is relative to."""
     samples = rows.samples
-    rotors = curve.of_signal(samples.signal, samples.voltage)
+    rotors = between_samples(samples, curve.of_signal(samples.signal, samples.voltage))
+    whole = Turning(
+        rate=rows.rate,
+        attitude=Rotation.from_quat(rows.flight.stack(QUATERNION)[rows.first :], scalar_first=True),
+        torque=vehicle.mass * rotors @ vehicle.allocation[1:].T,
+        spin=speed_of(rotors) / mean_speed,
+        velocity=(samples.velocity[:-1] + samples.velocity[1:]) / 2,
+        flight=flight,
+        dt=rows.dt,
+    )
+    gap = (np.diff(samples.time) > 1.5 * rows.dt) | (np.diff(samples.segment) != 0)
+    stretches = []
+    for first, last in runs(~gap):
+        if (last + 1 - first) * rows.dt > LEAST:
+            stretches.append(whole.part(first, last + 1))
+    return stretches
+
+
+def between_samples(samples: Samples, rotors: np.ndarray) -> np.ndarray:
+    """Mean from each sample to the next, (k - 1, n), of thrusts (k, n) by the signal of the samples."""
     ahead = samples.during(rotors)
-    mean = ahead[:-1] if samples.held.all() and not curve.lag else (ahead[:-1] + ahead[1:]) / 2
-    spin = speed_of(mean) / mean_speed
-    velocity = (samples.velocity[:-1] + samples.velocity[1:]) / 2
-    attitude = Rotation.from_quat(rows.flight.stack(QUATERNION)[rows.first :], scalar_first=True)
-    torque = vehicle.mass * mean @ vehicle.allocation[1:].T
-    whole = Turning(rows.rate, attitude, torque, spin, velocity, flight, rows.dt)
-    breaks = (np.diff(samples.time) > 1.5 * rows.dt) | (np.diff(samples.segment) != 0)
-    ends = [0, *(np.flatnonzero(breaks) + 1), len(samples)]
-    pairs = zip(ends[:-1], ends[1:], strict=True)
-    return [whole.part(first, last) for first, last in pairs if (last - first) * rows.dt > LEAST]
+    if samples.held.all() and not samples.lag:
+        return ahead[:-1]
+    return (ahead[:-1] + ahead[1:]) / 2
 
 
 def speed_of(rotors: np.ndarray) -> np.ndarray:

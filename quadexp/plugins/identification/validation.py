@@ -28,9 +28,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from quadexp.compile.symbolic import ca
@@ -56,6 +57,7 @@ BLOCK = 2.0  # s, of the bootstrap
 DRAWS = 1000  # resamplings of the flights for an interval
 CONFIDENCE = 0.95  # of every interval, as in the tables of results
 BANDS = 4  # of speed, with as many rows in a table
+LEAST_OF_BAND = 20  # samples
 NOMINAL = "nominal"
 _KIND_NAMES = {"linear": "linear drag", "quadratic": "quadratic drag", "blade_element": "blade element"}
 LOST_SPEED, LOST_RATE = 100.0, 200.0  # m/s, rad/s: a prediction beyond them is stopped
@@ -115,6 +117,28 @@ def predictors(model: Model, label: str, vehicle: Vehicle, curve: ThrustCurve | 
     return [Predictor(label, thrust, beyond, seen, model.feature_range, vehicle.mass)]
 
 
+class OneStep(NamedTuple):
+    """What a predictor has of the samples of a flight. rotors: acceleration by each rotor, (k, n) (m/s^2). unexplained:
+    measured specific force less that of the air, (k, 3) (m/s^2). scale: of the thrust, tracked, (k,)."""
+
+    rotors: np.ndarray
+    unexplained: np.ndarray
+    scale: np.ndarray
+
+    def error(self, *, tracked: bool) -> np.ndarray:
+        """Measured less predicted specific force, (k, 3) (m/s^2)."""
+        error = self.unexplained.copy()
+        error[:, 2] -= (self.scale if tracked else 1.0) * self.rotors.sum(axis=1)
+        return error
+
+
+def one_step(predictor: Predictor, row: FlightRows) -> OneStep:
+    samples = row.samples
+    rotors = predictor.curve.of_signal(samples.signal, samples.voltage)
+    unexplained = samples.force - predictor.beyond(samples.velocity, row.rate, rotors)
+    return OneStep(rotors, unexplained, tracked_scale(rotors.sum(axis=1), unexplained[:, 2], row.dt))
+
+
 @dataclass(frozen=True)
 class Residuals:
     """Errors of a predictor, (k, 3) m/s^2: as fitted (error), with tracked scale (tracked); others (k,)."""
@@ -130,24 +154,20 @@ class Residuals:
 
 def residuals(predicted: Sequence[tuple[Predictor, FlightRows]]) -> Residuals:
     """One-step residuals of a predictor on flights, each with the predictor as it was fitted for it."""
-    parts: list[tuple[np.ndarray, ...]] = []
-    blocks, outside, rows = 0, 0, 0
+    parts = []
+    blocks = 0
+    outside = 0
+    rows = 0
     for index, (predictor, row) in enumerate(predicted):
-        samples = row.samples
-        rotors = predictor.curve.of_signal(samples.signal, samples.voltage)
-        collective = rotors.sum(axis=1)
-        beyond = predictor.beyond(samples.velocity, row.rate, rotors)
-        error = samples.force - beyond
-        tracked = error.copy()
-        tracked[:, 2] -= tracked_scale(collective, error[:, 2], row.dt) * collective
-        error[:, 2] -= collective
-        block = blocks + (np.arange(len(samples)) * row.dt // BLOCK).astype(int)
+        step = one_step(predictor, row)
+        count = len(row.samples)
+        block = blocks + (np.arange(count) * row.dt // BLOCK).astype(int)
         blocks = int(block[-1]) + 1
-        parts.append((error, tracked, np.full(len(samples), index), block, row.speed))
+        parts.append((step.error(tracked=False), step.error(tracked=True), np.full(count, index), block, row.speed))
         if predictor.ranges:
-            features = feature_rows(samples.velocity, row.rate, predictor.mass * rotors)
-            outside += round(outside_shares(predictor.ranges, features)["any"] * len(samples))
-            rows += len(samples)
+            features = feature_rows(row.samples.velocity, row.rate, predictor.mass * step.rotors)
+            outside += round(outside_shares(predictor.ranges, features)["any"] * count)
+            rows += count
     error, tracked, flight, block, speed = map(np.concatenate, zip(*parts, strict=True))
     share = outside / rows if rows else None
     return Residuals(predicted[0][0].name, error, tracked, flight, block, speed, share)
@@ -166,41 +186,44 @@ def score_rows(results: Sequence[Residuals]) -> list[Row]:
             error = result.tracked if tracked else result.error
             row: Row = {"predictor": result.predictor, "thrust_tracked": tracked, "rows": len(error)}
             row |= {f"rms_{axis}": rms(component) for axis, component in zip(AXES, error.T, strict=True)}
-            low, high = _limits(result, error)
-            row |= {"rms": rms(error), "rms_low": low, "rms_high": high, "outside": result.outside}
+            row |= {"rms": rms(error), **_interval("rms", result, error), "outside": result.outside}
             if base is not None and len(base.error) == len(error):
                 alike = base.tracked if tracked else base.error
                 for name, other in (("share", base.error), ("share_alike", alike)):
-                    low, high = _limits(result, error, other)
-                    row |= {name: rms(error) / rms(other), f"{name}_low": low, f"{name}_high": high}
+                    row |= {name: rms(error) / rms(other), **_interval(name, result, error, other)}
             rows.append(row)
     return rows
 
 
-def _limits(result: Residuals, error: np.ndarray, base: np.ndarray | None = None) -> list[float]:
-    """Ends of the interval of the RMS of errors (k, 3) of a result's samples, or of its ratio to that of others."""
+def _interval(name: str, result: Residuals, error: np.ndarray, base: np.ndarray | None = None) -> dict[str, float]:
+    """{name_low, name_high}: of the RMS of errors (k, 3) of a result's samples, or of its ratio to that of others."""
     squares = np.sum(error**2, axis=1)
     others = np.ones(len(error)) if base is None else np.sum(base**2, axis=1)
-    above, below = (np.maximum(np.bincount(result.flight, x), 1e-24) for x in (squares, others))
+    above, below = (np.maximum(np.bincount(result.flight, values), 1e-24) for values in (squares, others))
     half = between_flights(0.5 * np.log(above / below), below, CONFIDENCE)
-    if not np.isnan(half):
-        return (np.sqrt(above.sum() / below.sum()) * np.exp([-half, half])).tolist()
-    above, below = (np.bincount(result.block, x) for x in (squares, others))
-    count, tail = len(above), 50 * (1 - CONFIDENCE)
-    weights = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), DRAWS)
-    return np.percentile(np.sqrt((weights @ above) / (weights @ below)), [tail, 100 - tail]).tolist()
+    if np.isnan(half):
+        above, below = (np.bincount(result.block, values) for values in (squares, others))
+        count = len(above)
+        weights = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), DRAWS)
+        ratios = np.sqrt((weights @ above) / (weights @ below))
+        low, high = np.percentile(ratios, [50 * (1 - CONFIDENCE), 50 * (1 + CONFIDENCE)]).tolist()
+    else:
+        ratio = np.sqrt(above.sum() / below.sum())
+        low, high = float(ratio * np.exp(-half)), float(ratio * np.exp(half))
+    return {f"{name}_low": low, f"{name}_high": high}
 
 
 def band_rows(results: Sequence[Residuals]) -> list[Row]:
     """RMS of the vector by speed, one row per predictor and band: {predictor, low, high, rows, rms, rms_tracked}."""
-    speed = np.concatenate([result.speed for result in results])
+    fastest = max(float(result.speed.max()) for result in results)
     # Edges of bands of equal width from standstill to the largest speed, rounded to 0.1 m/s.
-    edges = np.round(np.linspace(0.0, float(speed.max()) + 0.05, BANDS + 1), 1)
+    edges = np.round(np.linspace(0.0, fastest + 0.05, BANDS + 1), 1).tolist()
     rows = []
     for result in results:
-        for low, high in pairwise(edges.tolist()):
-            inside = (result.speed >= low) & (result.speed < high if high < edges[-1] else result.speed <= high + 0.1)
-            if inside.sum() >= 20:
+        band = np.minimum(np.digitize(result.speed, edges), BANDS) - 1
+        for number, (low, high) in enumerate(pairwise(edges)):
+            inside = (band == number) & (result.speed <= edges[-1] + 0.1)
+            if inside.sum() >= LEAST_OF_BAND:
                 row = {"predictor": result.predictor, "low": low, "high": high, "rows": int(inside.sum())}
                 rows.append(row | {"rms": rms(result.error[inside]), "rms_tracked": rms(result.tracked[inside])})
     return rows
@@ -208,8 +231,7 @@ def band_rows(results: Sequence[Residuals]) -> list[Row]:
 
 def _way(t: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     """Integral (k, 3) of a velocity, in place of a position that a log does not have."""
-    steps = np.diff(t)[:, None] * (velocity[1:] + velocity[:-1]) / 2
-    return np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    return cumulative_trapezoid(velocity, t, axis=0, initial=0)
 
 
 class Track:
@@ -227,25 +249,24 @@ class Track:
         self.matrix = self.rotation.as_matrix()
         self.rate, self.time, self.segment = row.rate, row.samples.time, row.samples.segment
         self.wind = np.zeros_like(self.velocity) if flight.wind is None else flight.wind[at]
-        self.rotors = predictor.curve.of_signal(row.samples.signal, row.samples.voltage)
+        self.rotors, _, self.scale = one_step(predictor, row)
         self.ahead = row.samples.during(self.rotors)
-        beyond = predictor.beyond(row.samples.velocity, self.rate, self.rotors)
-        thrust = row.samples.force[:, 2] - beyond[:, 2]
-        self.scale = tracked_scale(self.rotors.sum(axis=1), thrust, self.dt)
         self.gravity = gravity
         self.bias = accelerometer_bias(self.time, self.velocity, self.matrix, row.samples.force, self.segment, gravity)
+
+    def scale_at(self, starts: np.ndarray, *, tracked: bool) -> np.ndarray:
+        """Scale of the thrust of predictions from some starts, (starts,)."""
+        return self.scale[starts] if tracked else np.ones(len(starts))
 
     def starts(self, steps: int) -> np.ndarray:
         """Samples followed by `steps` more in the same segment, spread over the flight."""
         last = len(self.time) - steps
         if last <= 0:
             return np.empty(0, int)
-        k = np.arange(last)
-        complete = (self.segment[k] == self.segment[k + steps]) & (
-            np.abs(self.time[k + steps] - self.time[k] - steps * self.dt) < 1.5 * self.dt
-        )
-        k = k[complete]
-        return k[:: max(1, len(k) // STARTS)]
+        together = self.segment[steps:] == self.segment[:last]
+        whole = np.abs(self.time[steps:] - self.time[:last] - steps * self.dt) < 1.5 * self.dt
+        found = np.flatnonzero(together & whole)
+        return found[:: max(1, len(found) // STARTS)]
 
 
 def accelerometer_bias(
@@ -269,23 +290,24 @@ def accelerometer_bias(
 
 def attitude_rollout(track: Track, starts: np.ndarray, steps: int, *, tracked: bool) -> tuple[np.ndarray, np.ndarray]:
     """Position and velocity at the end, each (starts, 3), world, with the measured attitude."""
-    down = np.array([0.0, 0.0, -track.gravity])
-    scale = track.scale[starts] if tracked else np.ones(len(starts))
+    gravity = np.array([0.0, 0.0, -track.gravity])
+    scale = track.scale_at(starts, tracked=tracked)
 
     def acceleration(k: np.ndarray, v: np.ndarray, rotors: np.ndarray) -> np.ndarray:
+        """At samples k, (starts, 3), world."""
         body = air_velocity(track.quaternion[k], v, track.wind[k])
         force = track.predictor.beyond(body, track.rate[k], rotors[k]) - track.bias
         force[:, 2] += scale * rotors[k].sum(axis=1)
-        return np.einsum("kij,kj->ki", track.matrix[k], force) + down
+        return np.einsum("kij,kj->ki", track.matrix[k], force) + gravity
 
-    p, v = track.position[starts].copy(), track.velocity[starts].copy()
-    slope = acceleration(starts, v, track.ahead)
-    for j in range(steps):
-        h = (track.time[starts + j + 1] - track.time[starts + j])[:, None]
-        ahead = acceleration(starts + j + 1, v + h * slope, track.rotors)
+    p = track.position[starts]
+    v = track.velocity[starts]
+    for k in starts + np.arange(steps)[:, None]:
+        h = (track.time[k + 1] - track.time[k])[:, None]
+        slope = acceleration(k, v, track.ahead)
+        ahead = acceleration(k + 1, v + h * slope, track.rotors)
         p = p + h * v + h * h / 6 * (2 * slope + ahead)
         v = v + h / 2 * (slope + ahead)
-        slope = acceleration(starts + j + 1, v, track.ahead)
     return p, v
 
 
@@ -298,25 +320,25 @@ def full_rollout(
     """
     x, u, y, h = symbols(ca.SX, x=13, u=vehicle.n_rotors, y=6, h=1)
     step = ca.Function("step", [x, u, y, h], [rk4_step(lambda at: state_derivative(at, u, vehicle, y), x, h)])
-    scale = track.scale[starts] if tracked else np.ones(len(starts))
+    scale = vehicle.mass * track.scale_at(starts, tracked=tracked)[:, None]
     quaternion = track.rotation[starts].as_quat(scalar_first=True)
-    state = np.hstack([track.position[starts], quaternion, track.velocity[starts], track.rate[starts]])
-    first, stopped = state, np.zeros(len(starts), bool)
-    for j in range(steps):
-        k = starts + j
-        lost = (np.abs(state[:, VELOCITY]).max(axis=1) > LOST_SPEED) | (np.abs(state[:, RATE]).max(axis=1) > LOST_RATE)
-        state = np.where(lost[:, None], first, state)  # restarted at a finite state, and set to NaN below
+    first = np.hstack([track.position[starts], quaternion, track.velocity[starts], track.rate[starts]])
+    state = first
+    stopped = np.zeros(len(starts), bool)
+    for k in starts + np.arange(steps)[:, None]:
+        fast = np.abs(state[:, VELOCITY]).max(axis=1) > LOST_SPEED
+        lost = fast | (np.abs(state[:, RATE]).max(axis=1) > LOST_RATE)
         stopped |= lost
+        state = np.where(lost[:, None], first, state)  # restarted at a finite state, and set to NaN below
+        rate = state[:, RATE]
+        thrust = scale * track.ahead[k]
         body = air_velocity(state[:, ATTITUDE], state[:, VELOCITY], track.wind[k])
-        correction = track.predictor.beyond(body, state[:, RATE], track.ahead[k]) - track.bias
-        thrust = vehicle.mass * scale[:, None] * track.ahead[k]
-        torque = np.zeros_like(correction)
+        force = track.predictor.beyond(body, rate, track.ahead[k]) - track.bias
+        torque = np.zeros_like(force)
         if mode == "held":  # J w' = 0: what holds w against the rotors' torque and the gyroscopic one
-            rate = state[:, RATE]
             torque = np.cross(rate, rate @ vehicle.inertia_matrix) - thrust @ vehicle.allocation[1:].T
-        correction = np.hstack([correction, torque])
         duration = track.time[k + 1] - track.time[k]
-        state = np.array(step(state.T, thrust.T, correction.T, duration[None]).full()).T
+        state = step(state.T, thrust.T, np.hstack([force, torque]).T, duration[None]).full().T
         state[:, ATTITUDE] /= np.linalg.norm(state[:, ATTITUDE], axis=1, keepdims=True)
     return np.where(stopped[:, None], np.nan, state)
 
@@ -332,18 +354,20 @@ def rollout_errors(
     """
     rows = []
     for horizon in horizons:
-        steps_of = [(track, max(1, round(horizon / track.dt))) for track in tracks]
-        flown = [(track, starts, steps) for track, steps in steps_of if len(starts := track.starts(steps))]
-        if not flown:
+        parts = []
+        for track in tracks:
+            steps = max(1, round(horizon / track.dt))
+            starts = track.starts(steps)
+            if len(starts):
+                parts.append(_end_errors(track, starts, steps, vehicle, tracked=tracked, mode=mode))
+        if not parts:
             continue
-        parts = [_end_errors(*each, vehicle, tracked=tracked, mode=mode) for each in flown]
-        mode_name = "attitude" if vehicle is None else mode
-        row = {"predictor": tracks[0].predictor.name, "mode": mode_name, "horizon": float(horizon)}
-        row |= {"thrust_tracked": tracked, "starts": sum(len(starts) for _, starts, _ in flown)}
+        row: Row = {"predictor": tracks[0].predictor.name, "mode": "attitude" if vehicle is None else mode}
+        row |= {"horizon": float(horizon), "thrust_tracked": tracked}
         for name in parts[0]:
             values = np.concatenate([part[name] for part in parts])
             finite = values[np.isfinite(values)]
-            row["lost"] = float(1 - len(finite) / len(values))
+            row |= {"starts": len(values), "lost": float(1 - len(finite) / len(values))}
             row[name] = root_mean_square(finite) if len(finite) else float("nan")
             row[f"{name}_median"] = float(np.median(finite)) if len(finite) else float("nan")
         rows.append(row)
@@ -354,15 +378,16 @@ def _end_errors(
     track: Track, starts: np.ndarray, steps: int, vehicle: Vehicle | None, *, tracked: bool, mode: str
 ) -> dict[str, np.ndarray]:
     """Size of each error at the end of predictions from some starts, (starts,)."""
-    end, errors = starts + steps, dict[str, np.ndarray]()
+    end = starts + steps
+    errors = {}
     if vehicle is None:
         position, velocity = attitude_rollout(track, starts, steps, tracked=tracked)
     else:
         last = full_rollout(track, starts, steps, vehicle, tracked=tracked, mode=mode)
         position, velocity = last[:, POSITION], last[:, VELOCITY]
-        level = np.where(np.isfinite(last[:, ATTITUDE]), last[:, ATTITUDE], [1.0, 0.0, 0.0, 0.0])
-        turned = Rotation.from_quat(level, scalar_first=True).inv() * track.rotation[end]
-        errors["attitude"] = np.where(np.isfinite(last[:, 0]), turned.magnitude(), np.nan)
-        errors["rate"] = norms(last[:, RATE] - track.rate[end])
-    errors["position"] = norms(position - track.position[end])
-    return errors | {"velocity": norms(velocity - track.velocity[end])}
+        lost = np.isnan(last[:, :1])
+        predicted = Rotation.from_quat(np.where(lost, [1.0, 0.0, 0.0, 0.0], last[:, ATTITUDE]), scalar_first=True)
+        attitude = np.where(lost[:, 0], np.nan, (predicted.inv() * track.rotation[end]).magnitude())
+        errors = {"attitude": attitude, "rate": norms(last[:, RATE] - track.rate[end])}
+    position_error = norms(position - track.position[end])
+    return errors | {"position": position_error, "velocity": norms(velocity - track.velocity[end])}

@@ -7,9 +7,7 @@ blade_element with lumped coefficients; None where the flights do not determine 
 curve and linear drag are one regression. Quadratic and blade-element terms are then fitted to the curve's residual
 together with a correction of its scale (the term `thrust`), which would otherwise bias the drag.
 
-The models are compared by cross-validation over flights (`selection`): samples of one flight share battery, constant
-offsets and path, so a split by sample would favour models with many coefficients. Every model is fitted completely in
-each fold, its thrust curve included.
+comparison.py compares them on flights left out.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.log.runs import period_of
 from quadexp.log.schema import Flight
-from quadexp.models.base import Model, Prediction, feature_ranges, rms
+from quadexp.models.base import Model, Prediction, feature_ranges
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag
 from quadexp.models.residual import AXES, VELOCITY, Residual
@@ -43,7 +41,7 @@ from quadexp.plugins.aerodynamics.terms import (
     term_residual,
 )
 from quadexp.plugins.identification.inflow import fit_inflow, momentum_of
-from quadexp.plugins.identification.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples, thrust_columns
+from quadexp.plugins.identification.thrust_curve import CurveSettings, ThrustCurve, fit_thrust_samples
 from quadexp.plugins.identification.torque_gain import TorqueGain
 from quadexp.plugins.logs.samples import Samples, gather_to_fit
 
@@ -53,10 +51,7 @@ LEVEL_NAMES = {
     "nominal": "nominal thrust", "offset": "+ offsets", "linear": "+ linear drag", "quadratic": "+ quadratic drag",
     "blade_element": "blade element, lumped",
 }  # fmt: skip
-MOST_FOLDS = 10  # flights that are held out one by one; each costs a fit
 HOVER_INFLOW = "blade_element_still"  # key of the blade-element model whose induced velocity is that of hover
-MOST_SAMPLES = 20_000  # of the comparisons of models and of curves; more are thinned evenly
-CURVES = ((1, 2), (1,), (2,))  # powers of motor_command that are compared
 _OFFSET = (("offset",), ("offset",), ())
 
 
@@ -84,14 +79,13 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
     @property
     def linear_drag(self) -> LinearDrag:
         """Linear drag beyond the thrust curve. The z intercept is in the curve."""
-        value, error = np.zeros((2, 3)), np.zeros((2, 3))
-        for i, axis in enumerate(AXES):
-            for j, term in enumerate(("linear", "offset")):
-                value[j, i], error[j, i] = self.linear.coefficient(axis, term)
+        linear = self.linear
+        drag, drag_error = np.transpose([linear.coefficient(axis, "linear") for axis in AXES])
+        offset, offset_error = np.transpose([linear.coefficient(axis, "offset") for axis in AXES])
+        freedom = np.array([*linear.freedom, *linear.freedom, 0], float)
         return LinearDrag(
-            value[0], value[1], 0.0, error[0], error[1], 0.0, self.linear.residual_std, np.zeros(3),
-            int(self.dataset.get("rows", 0)), "blocks", self.linear.loss,
-            np.array([*self.linear.freedom, *self.linear.freedom, 0], float), int(self.dataset.get("flights", 0)),
+            drag, offset, 0.0, drag_error, offset_error, 0.0, linear.residual_std, np.zeros(3),
+            int(self.dataset.get("rows", 0)), "blocks", linear.loss, freedom, int(self.dataset.get("flights", 0)),
             vehicle=dict(self.vehicle), dataset=dict(self.dataset), feature_range=dict(self.feature_range),
         )  # fmt: skip
 
@@ -262,115 +256,6 @@ def _dataset_record(samples: Samples) -> dict[str, Any]:
         "sha256": digest.hexdigest(), "rows": len(samples), "flights": len(samples.names),
         "duration": len(samples) * period_of(samples.time), "names": list(samples.names),
     }  # fmt: skip
-
-
-def rmse(residual: np.ndarray) -> dict[str, float]:
-    """Root mean square per axis, and of the vector (m/s^2)."""
-    square = np.mean(residual**2, axis=0)
-    return {**named(AXES, np.sqrt(square).tolist()), "norm": float(np.sqrt(square.sum()))}
-
-
-def selection(samples: Samples, settings: FitSettings, momentum: float = 0.0) -> list[dict[str, Any]]:
-    """RMSE of every model in sample and on held-out flights.
-
-    Returns per model {level, name, in_sample {x, y, z, norm}, held_out the same, trimmed the same, per_flight
-    {name: norm}, note}. trimmed: held-out error after subtracting each flight's mean residual, which integral action in
-    a controller would remove. With one flight held_out and trimmed are None. If the rotors' radius is known there are
-    two blade-element models, with induced velocity and without (HOVER_INFLOW). With two flights, a fitted voltage
-    exponent is taken from both: one flight does not determine it.
-    """
-    samples = samples.thinned(MOST_SAMPLES)
-    if settings.voltage_exponent is None and len(samples.names) == 2:
-        curve, _ = _curve_residual(samples, samples, settings)
-        settings = replace(settings, voltage_exponent=curve.voltage_exponent)
-    chosen = [level for level in LEVELS if level not in KINDS or level in ("linear", *settings.kinds)]
-    rungs = [(level, level, LEVEL_NAMES[level], momentum) for level in chosen]
-    if momentum and "blade_element" in chosen:
-        rungs[-1] = ("blade_element", "blade_element", "blade element, with V_I", momentum)
-        rungs.append((HOVER_INFLOW, "blade_element", "blade element, no V_I", 0.0))
-    rows: list[dict[str, Any]] = []
-    for rung, level, name, momentum in rungs:
-        row: dict[str, Any] = {"level": rung, "name": name, "in_sample": None, "held_out": None}
-        row |= {"trimmed": None, "per_flight": {}, "note": ""}
-        rows.append(row)
-        try:
-            row["in_sample"] = rmse(fit_level(level, samples, settings, momentum, intervals=False).residual(samples))
-            held_out = left_out(level, samples, settings, momentum)
-        except DataError as error:
-            row["note"] = str(error)
-            continue
-        if held_out:
-            row["per_flight"] = {name: rmse(residual)["norm"] for name, residual in held_out.items()}
-            row["held_out"] = rmse(np.concatenate(list(held_out.values())))
-            row["trimmed"] = rmse(np.concatenate([residual - residual.mean(axis=0) for residual in held_out.values()]))
-    return rows
-
-
-def left_out(level: str, samples: Samples, settings: FitSettings, momentum: float = 0.0) -> dict[str, np.ndarray]:
-    """Residual of every flight, (k, 3) (m/s^2), under the fit to the others; {} with one flight.
-
-    Up to MOST_FOLDS flights are held out one by one; of more, every MOST_FOLDS-th together.
-    """
-    count = len(samples.names)
-    folds = min(count, MOST_FOLDS) if count > 1 else 0
-    residuals: dict[int, np.ndarray] = {}
-    for fold in range(folds):
-        out = samples.flight % folds == fold
-        fitted, tested = samples.rows(~out), samples.rows(out)
-        residual = fit_level(level, fitted, settings, momentum, intervals=False).residual(tested)
-        residuals |= {index: residual[tested.flight == index] for index in range(fold, count, folds)}
-    return {name: residuals[index] for index, name in enumerate(samples.names) if index in residuals}
-
-
-def compare_curves(samples: Samples, settings: FitSettings) -> list[dict[str, Any]]:
-    """RMSE along z, in sample and held out, of thrust curves on motor commands; [] for other signals.
-
-    Records {powers, voltage ("unused", "V" or "V^g"), exponent, in_sample, held_out, halves_out (or None), note}.
-    held_out: on held-out flights. halves_out: with two flights, on held-out half flights, because the effect of the
-    battery voltage cannot be learned from one flight alone.
-    """
-    if samples.kind != "motor_command":
-        return []
-    samples = samples.thinned(MOST_SAMPLES)
-    flight, sizes = samples.flight, np.bincount(samples.flight)
-    within = np.arange(len(flight)) - (np.cumsum(sizes) - sizes)[flight]
-    by_half = 2 * flight + (2 * within >= sizes[flight]) if len(samples.names) == 2 else None
-    by_flight = flight % min(len(samples.names), MOST_FOLDS) if len(samples.names) > 1 else None
-    rows = []
-    for powers in CURVES:
-        for voltage in ("unused", "V", "V^g") if samples.voltage is not None else ("unused",):
-            exponent = None if voltage == "V^g" else 1.0
-            reference = 0.0 if voltage == "unused" else settings.reference_voltage
-            of_curve = replace(settings, powers=powers, voltage_exponent=exponent, reference_voltage=reference)
-            row: dict[str, Any] = {"powers": list(powers), "voltage": voltage, "in_sample": None, "held_out": None}
-            rows.append(row | {"halves_out": None, "exponent": None, "note": ""})
-            try:
-                curve, residual = _curve_residual(samples, samples, of_curve)
-                rows[-1] |= {"in_sample": rms(residual), "exponent": curve.voltage_exponent}
-                for key, fold in (("held_out", by_flight), ("halves_out", by_half)):
-                    if fold is not None:
-                        parts = [(samples.rows(fold != i), samples.rows(fold == i)) for i in np.unique(fold)]
-                        errors = [_curve_residual(*part, of_curve)[1] for part in parts]
-                        rows[-1][key] = rms(np.concatenate(errors))
-            except DataError as error:
-                rows[-1]["note"] = str(error)
-    return rows
-
-
-def _curve_residual(train: Samples, test: Samples, settings: FitSettings) -> tuple[ThrustCurve, np.ndarray]:
-    """A curve fitted together with d_z to some samples, and its residual along z on others, (k,) (m/s^2)."""
-    curve, regression = fit_thrust_samples(train, settings, intervals=False)
-    return curve, test.force[:, 2] - thrust_columns(curve, test) @ regression.coefficients
-
-
-def best_level(rows: Sequence[Mapping[str, Any]], levels: Sequence[str] = (*KINDS, HOVER_INFLOW)) -> str:
-    """The model of `levels` with the least held-out error (in sample where nothing was held out); "linear" if none."""
-    scored = {}
-    for row in rows:
-        score = row["held_out"] or (row["in_sample"] if all(r["held_out"] is None for r in rows) else None)
-        if row["level"] in levels and score is not None and not row["note"]:
-            scored[row["level"]] = score["norm"]
-    return min(scored, key=scored.__getitem__) if scored else "linear"
 
 
 def flight_by_flight(samples: Samples, settings: FitSettings) -> list[dict[str, Any]]:

@@ -19,7 +19,7 @@ nothing else: accelerations, drag in 1/s, commands. Inertia: the log shows torqu
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from quadexp.plugins.logs.samples import SIGNALS, Samples
 from quadexp.report.table import Table
 
 Row = dict[str, Any]
+FULL_THRUST = "thrust at full command"
 PENDULUM = "J = m g d^2 T^2 / (16 pi^2 L): hung on two strings of length L, d apart, T the period of the twist"
 
 
@@ -55,6 +56,45 @@ def scales_of_flights(samples: Samples, curve: ThrustCurve) -> np.ndarray:
     return np.array(scales)
 
 
+class CurvePoint(NamedTuple):
+    """A rotor's thrust per mass at a signal: acceleration (m/s^2), slope (of it over the signal), standard errors."""
+
+    acceleration: float
+    acceleration_error: float
+    slope: float
+    slope_error: float
+
+
+def point_of(curve: ThrustCurve, signal: float) -> CurvePoint:
+    """signal: at the reference voltage."""
+    sharing = curve.rotors if curve.signal == "thrust_acceleration" else 1  # rotors that share one signal
+    share = signal / sharing
+    powers = share**curve.powers
+    derivatives = curve.powers * share ** (curve.powers - 1) / sharing
+    covariance = np.diag(curve.errors**2) if curve.covariance is None else curve.covariance
+
+    def error(gradient: np.ndarray) -> float:
+        return float(np.sqrt(max(gradient @ covariance @ gradient, 0.0)))
+
+    acceleration = float(powers @ curve.coefficients) + curve.intercept / curve.rotors
+    return CurvePoint(acceleration, error(powers), float(derivatives @ curve.coefficients), error(derivatives))
+
+
+def hover_signal(curve: ThrustCurve, gravity: float) -> float | None:
+    """The signal of every rotor, at the reference voltage, that holds the weight; None where the curve reaches it
+    nowhere."""
+    largest = 1.0 if curve.signal_range is None else float(curve.signal_range[1])
+    if curve.signal == "motor_command":
+        largest = max(largest, 1.0)
+    grid = np.linspace(0.0, 1.5 * largest, 2000)
+    excess = curve.collective(grid) - gravity
+    crossing = np.flatnonzero((excess[:-1] < 0) & (excess[1:] >= 0))
+    if not len(crossing):
+        return None
+    beside = slice(crossing[0], crossing[0] + 2)
+    return float(np.interp(0.0, excess[beside], grid[beside]))
+
+
 def numbers_of(
     curve: ThrustCurve, samples: Samples, flights: Sequence[Mapping[str, Any]], vehicle: Vehicle | None,
     torque: TorqueGain | None,
@@ -63,140 +103,108 @@ def numbers_of(
 
     flights: of flight_by_flight. vehicle: None: thrusts are per kg.
     """
-    mass = 1.0 if vehicle is None else vehicle.mass
-    gravity = GRAVITY if vehicle is None else vehicle.gravity
-    newton = "N" if vehicle is not None else "N/kg"
-    scale = next_flight(scales_of_flights(samples, curve).tolist())
-    rows = _thrust_rows(curve, samples, mass, gravity, newton, scale)
+    mass, gravity, newton = 1.0, GRAVITY, "N/kg"
     if vehicle is not None:
-        for row in rows:
-            if row["name"] == "thrust at full command":
-                row["note"] += f"; {curve.rotors * row['value'] / (mass * gravity):.3g} times the weight in all"
+        mass, gravity, newton = vehicle.mass, vehicle.gravity, "N"
+    rows = []
+    battery = []
+    hover = hover_signal(curve, gravity)
+    if hover is not None:
+        rows = _thrust_rows(curve, samples, hover, mass, newton)
+        battery = _battery(curve, samples, hover, mass, newton)
+    for row in rows:
+        if row["name"] == FULL_THRUST and vehicle is not None:
+            row["note"] += f"; {curve.rotors * row['value'] / (mass * gravity):.3g} times the weight in all"
     for axis in "xyz":
-        coefficients = [
-            coefficient
-            for flight in flights
-            for coefficient in flight.get("coefficients", ())
-            if coefficient["axis"] == axis
-        ]
-        values = [coefficient["value"] for coefficient in coefficients if coefficient["term"] == "linear"]
-        rows.append({"name": f"d_{axis}", "unit": "1/s", "each": values})
-    terms = zip(curve.powers.tolist(), (mass * curve.coefficients).tolist(), strict=True)
-    signal = "command" if curve.signal == "motor_command" else curve.signal
-    if curve.reference_voltage:
-        signal += f" (V/{curve.reference_voltage:g})^{curve.voltage_exponent:.3g}"
-    text = " + ".join(f"{value:.5g} s^{power:g}" if power != 1 else f"{value:.5g} s" for power, value in terms)
-    text += f" + {mass * curve.intercept / curve.rotors:.4g}" if curve.intercept else ""
-    unit = SIGNALS[curve.signal] if curve.signal != "motor_command" else "0 to 1"
-    stated: dict[str, Any] = {"mass": None, "inertia": None}
-    if vehicle is not None:
-        stated = {"mass": vehicle.mass, "inertia": np.diag(vehicle.inertia_matrix).tolist(), "name": vehicle.name}
-    if torque is not None and vehicle is not None:
-        used = torque.used
-        measured = [
-            None if ratio is None else moment / ratio for moment, ratio in zip(stated["inertia"], used, strict=True)
-        ]
-        stated["inertia_of_torque"] = measured
-    count = len(samples.names)
+        each = []
+        for flight in flights:
+            for row in flight.get("coefficients", ()):
+                if row["axis"] == axis and row["term"] == "linear":
+                    each.append(row["value"])
+        rows.append({"name": f"d_{axis}", "unit": "1/s", "each": each} | _next(next_flight(each)))
     return {
-        "curve": f"T = {text} {newton} per rotor, s = {signal} ({unit})", "rows": rows, "flights": count,
-        "battery": _battery(curve, samples, mass, gravity, newton), "given": stated,
+        "curve": _formula(curve, mass, newton), "rows": rows, "flights": len(samples.names), "battery": battery,
+        "given": _stated(vehicle, torque),
     }  # fmt: skip
 
 
-def _thrust_rows(
-    curve: ThrustCurve, samples: Samples, mass: float, gravity: float, newton: str, scale: tuple[float, float] | None
-) -> list[Row]:
+def _thrust_rows(curve: ThrustCurve, samples: Samples, hover: float, mass: float, newton: str) -> list[Row]:
     """Hover, slope there, and full command."""
-    hover = hover_signal(curve, gravity)
-    if hover is None:
-        return []
+    commanded = curve.signal == "motor_command"
     unit = {"motor_command": "1", "thrust_acceleration": "m/s^2"}.get(curve.signal, SIGNALS[curve.signal])
-    slope = _slope(curve, hover)
-    thrust = mass * _acceleration(curve, hover)
-    name = "hover command" if curve.signal == "motor_command" else f"{curve.signal} in hover"
-    rows = [_row(name, hover, unit, _error(curve, hover) / slope, curve.freedom)]
-    per = f"{newton} per {unit}" if unit != "1" else f"{newton} per unit of command"
-    rows.append(_row("thrust per signal in hover", mass * slope, per, mass * _slope_error(curve, hover), curve.freedom))
+    at_hover = point_of(curve, hover)
+    slope = mass * at_hover.slope
+
+    def row(name: str, value: float, unit: str, error: float) -> Row:
+        half = float(half_width(error, curve.freedom))
+        return {"name": name, "value": value, "unit": unit, "low": value - half, "high": value + half, "note": ""}
+
+    name = "hover command" if commanded else f"{curve.signal} in hover"
+    per = f"{newton} per unit of command" if commanded else f"{newton} per {unit}"
+    rows = [
+        row(name, hover, unit, at_hover.acceleration_error / at_hover.slope),
+        row("thrust per signal in hover", slope, per, mass * at_hover.slope_error),
+    ]
+    if commanded:
+        full = point_of(curve, 1.0)
+        error = mass * full.acceleration_error
+        rows.append(row(FULL_THRUST, mass * full.acceleration, f"{newton} per rotor", error))
+        largest = float(samples.signal.max())
+        rows[-1]["note"] = f"the flights go to {largest:.2f}" if largest < 0.98 else "within the flights"
+    scale = next_flight(scales_of_flights(samples, curve).tolist())
     if scale is not None:
-        ends = [hover - (end - 1) * thrust / (mass * slope) for end in scale]
-        rows[0] |= {"next_low": min(ends), "next_high": max(ends)}
-        rows[1] |= {"next_low": scale[0] * mass * slope, "next_high": scale[1] * mass * slope}
-    if curve.signal == "motor_command":
-        full = mass * _acceleration(curve, 1.0)
-        row = _row("thrust at full command", full, f"{newton} per rotor", mass * _error(curve, 1.0), curve.freedom)
-        if scale is not None:
-            row |= {"next_low": scale[0] * row["low"], "next_high": scale[1] * row["high"]}
-        most = float(samples.signal.max())
-        row["note"] = f"the flights go to {most:.2f}" if most < 0.98 else "within the flights"
-        rows.append(row)
+        low, high = scale
+        thrust = mass * at_hover.acceleration
+        rows[0] |= _next(sorted(hover - (end - 1) * thrust / slope for end in scale))
+        rows[1] |= _next((low * slope, high * slope))
+        for full_row in rows[2:]:
+            full_row |= _next((low * full_row["low"], high * full_row["high"]))
     return rows
 
 
-def _row(name: str, value: float, unit: str, error: float, freedom: int) -> Row:
-    half = float(half_width(error, freedom))
-    return {"name": name, "value": value, "unit": unit, "low": value - half, "high": value + half, "note": ""}
+def _next(interval: Sequence[float] | None) -> Row:
+    """Of the next flight, where it is known."""
+    return {} if interval is None else {"next_low": interval[0], "next_high": interval[1]}
 
 
-def _share(curve: ThrustCurve) -> float:
-    """Rotors that share one signal."""
-    return float(curve.rotors) if curve.signal == "thrust_acceleration" else 1.0
-
-
-def _powers(curve: ThrustCurve, signal: float) -> np.ndarray:
-    return np.array([(signal / _share(curve)) ** power for power in curve.powers])
-
-
-def _derivatives(curve: ThrustCurve, signal: float) -> np.ndarray:
-    share = _share(curve)
-    return np.array([power * (signal / share) ** (power - 1) / share for power in curve.powers])
-
-
-def _acceleration(curve: ThrustCurve, signal: float) -> float:
-    """Of one rotor by a scaled signal, m/s^2."""
-    return float(_powers(curve, signal) @ curve.coefficients) + curve.intercept / curve.rotors
-
-
-def _slope(curve: ThrustCurve, signal: float) -> float:
-    return float(_derivatives(curve, signal) @ curve.coefficients)
-
-
-def _error(curve: ThrustCurve, signal: float) -> float:
-    """Standard error of the acceleration, m/s^2."""
-    phi = _powers(curve, signal)
-    covariance = np.diag(curve.errors**2) if curve.covariance is None else curve.covariance
-    return float(np.sqrt(max(phi @ covariance @ phi, 0.0)))
-
-
-def _slope_error(curve: ThrustCurve, signal: float) -> float:
-    phi = _derivatives(curve, signal)
-    covariance = np.diag(curve.errors**2) if curve.covariance is None else curve.covariance
-    return float(np.sqrt(max(phi @ covariance @ phi, 0.0)))
-
-
-def hover_signal(curve: ThrustCurve, gravity: float) -> float | None:
-    """The scaled signal of every rotor that holds the weight; None where the curve reaches it nowhere."""
-    top = 1.0 if curve.signal_range is None else float(curve.signal_range[1])
-    grid = np.linspace(0.0, max(top, 1.0 if curve.signal == "motor_command" else top) * 1.5, 2000)
-    held = np.array([_acceleration(curve, signal) for signal in grid]) * curve.rotors - gravity
-    crossing = np.flatnonzero((held[:-1] < 0) & (held[1:] >= 0))
-    if not len(crossing):
-        return None
-    i = crossing[0]
-    return float(grid[i] - held[i] * (grid[i + 1] - grid[i]) / (held[i + 1] - held[i]))
-
-
-def _battery(curve: ThrustCurve, samples: Samples, mass: float, gravity: float, newton: str) -> list[Row]:
+def _battery(curve: ThrustCurve, samples: Samples, hover: float, mass: float, newton: str) -> list[Row]:
     """Hover command and full thrust at the highest, middle and lowest voltage of the flights; [] where it is unused."""
-    hover = hover_signal(curve, gravity)
-    if not curve.reference_voltage or samples.voltage is None or hover is None:
+    if not curve.reference_voltage or samples.voltage is None:
         return []
     rows = []
     for voltage in np.quantile(samples.voltage, [0.99, 0.5, 0.01]).tolist():
-        stretch = (voltage / curve.reference_voltage) ** curve.voltage_exponent
-        full = mass * _acceleration(curve, stretch)
-        rows.append({"voltage": voltage, "hover_command": hover / stretch, "full_thrust": full, "unit": newton})
+        scale = (voltage / curve.reference_voltage) ** curve.voltage_exponent
+        full = mass * point_of(curve, scale).acceleration
+        rows.append({"voltage": voltage, "hover_command": hover / scale, "full_thrust": full, "unit": newton})
     return rows
+
+
+def _formula(curve: ThrustCurve, mass: float, newton: str) -> str:
+    """The thrust of a rotor as a formula of its signal."""
+    terms = []
+    for power, coefficient in zip(curve.powers.tolist(), curve.coefficients.tolist(), strict=True):
+        symbol = "s" if power == 1 else f"s^{power:g}"
+        terms.append(f"{mass * coefficient:.5g} {symbol}")
+    if curve.intercept:
+        terms.append(f"{mass * curve.intercept / curve.rotors:.4g}")
+    signal, unit = curve.signal, SIGNALS[curve.signal]
+    if curve.signal == "motor_command":
+        signal, unit = "command", "0 to 1"
+    if curve.reference_voltage:
+        signal += f" (V/{curve.reference_voltage:g})^{curve.voltage_exponent:.3g}"
+    return f"T = {' + '.join(terms)} {newton} per rotor, s = {signal} ({unit})"
+
+
+def _stated(vehicle: Vehicle | None, torque: TorqueGain | None) -> Row:
+    """What no log shows."""
+    if vehicle is None:
+        return {"mass": None, "inertia": None}
+    inertia = np.diag(vehicle.inertia_matrix).tolist()
+    stated: Row = {"mass": vehicle.mass, "inertia": inertia, "name": vehicle.name}
+    if torque is not None:
+        pairs = zip(inertia, torque.used, strict=True)
+        stated["inertia_of_torque"] = [None if ratio is None else moment / ratio for moment, ratio in pairs]
+    return stated
 
 
 def number_lines(numbers: Row, drag: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -207,8 +215,8 @@ def number_lines(numbers: Row, drag: Sequence[Mapping[str, Any]]) -> list[str]:
         shown = row if "value" in row else row | pooled.get(row["name"], {})
         if "value" not in shown:
             continue
-        ahead = _ahead(row)
         span = f"[{shown['low']:.4g}, {shown['high']:.4g}]"
+        ahead = f"[{row['next_low']:.4g}, {row['next_high']:.4g}]" if "next_low" in row else "-"
         cells.append([row["name"], f"{shown['value']:.4g}", row["unit"], span, ahead, row.get("note", "")])
     heads = ["numbers", "", "", "these flights, 95 %", "the next flight, 95 %", ""]
     lines = [f"thrust      {numbers['curve']}"]
@@ -225,27 +233,22 @@ def number_lines(numbers: Row, drag: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines + _given_lines(numbers["given"])
 
 
-def _ahead(row: Row) -> str:
-    """The interval of the next flight as text."""
-    span = next_flight(row["each"]) if "each" in row else None
-    if "next_low" in row:
-        span = row["next_low"], row["next_high"]
-    return f"[{span[0]:.4g}, {span[1]:.4g}]" if span else "-"
-
-
 def _given_lines(stated: Row) -> list[str]:
     """Mass and inertia, which no log shows, and what an error of them does."""
     if stated["mass"] is None:
         return ["mass        not known, so thrusts are per kg (m/s^2): name the vehicle (--vehicle NAME), or weigh it"]
     moments = ", ".join(f"{moment:.3g}" for moment in stated["inertia"])
     mass = f"mass        {stated['mass']:g} kg, as given by {stated['name']}: weigh it ready to fly."
-    lines = [f"{mass} 10 % too large makes every newton 10 % too large; commands, accelerations, drag (1/s) stay"]
     inertia = f"inertia     {moments} kg m^2, as given."
-    lines.append(f"{inertia} 10 % too large makes a controller send 10 % too much torque. To measure: {PENDULUM}")
-    if any(moment is not None for moment in stated.get("inertia_of_torque") or ()):
-        by_torque = ", ".join("-" if moment is None else f"{moment:.3g}" for moment in stated["inertia_of_torque"])
-        lines.append(
-            f"            from gyro and torque of these flights {by_torque} kg m^2, where mass, arms and torque"
-        )
-        lines.append("            coefficient are right: a log shows torque over inertia, up to that factor")
+    lines = [
+        f"{mass} 10 % too large makes every newton 10 % too large; commands, accelerations, drag (1/s) stay",
+        f"{inertia} 10 % too large makes a controller send 10 % too much torque. To measure: {PENDULUM}",
+    ]
+    by_torque = stated.get("inertia_of_torque", ())
+    if any(by_torque):
+        found = ", ".join("-" if moment is None else f"{moment:.3g}" for moment in by_torque)
+        lines += [
+            f"            from gyro and torque of these flights {found} kg m^2, where mass, arms and torque",
+            "            coefficient are right: a log shows torque over inertia, up to that factor",
+        ]
     return lines

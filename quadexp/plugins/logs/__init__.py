@@ -2,6 +2,7 @@
 
 BRINGS = {
     "commands": {"import": "quadexp.plugins.logs.commands:import_"},
+    "groups": {"import": "listed"},
     "parts": {"from_file": "quadexp.plugins.logs.from_file"},
     "services": {"recorded_lines": "quadexp.plugins.logs.recorded_lines:recorded_lines"},
     "readers": {  # the most general last: to it any text is a table

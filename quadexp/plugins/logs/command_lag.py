@@ -13,7 +13,8 @@ band. A dead time or a lag alone is taken where both are not SIMPLER more likely
 those of a held command are over a period where nothing lags, the shortest. Interval:
 blocks of BLOCK seconds drawn with replacement, all that is as likely as NEAR, and RESOLUTION at each end: of a sampled
 log no finer time is given. A log does not say whether a signal was held between its samples: where a loop is faster
-than its log, all is T/2 later than found, which the upper ends of the dead time and of the sum contain.
+than its log, all is T/2 later than found, which the upper ends of the dead time and of the sum contain unless it is
+known to have been held.
 """
 
 from __future__ import annotations
@@ -44,12 +45,14 @@ FINE_LAGS = np.arange(0.0, LAGS[-1] + FINE / 2, FINE)
 
 class CommandLag(NamedTuple):
     """dead_time, lag (s). intervals: 95 %, low and high, of dead time, lag and their sum, (3, 2) (s). worth: log
-    likelihood above that of commands that act at once."""
+    likelihood above that of commands that act at once. likelihood: log less the largest, by dead time and lag, in steps
+    of FINE."""
 
     dead_time: float
     lag: float
     intervals: np.ndarray
     worth: float
+    likelihood: np.ndarray = np.zeros((1, 1))
 
     @property
     def late(self) -> bool:
@@ -135,8 +138,10 @@ def find_lag(
     ends = np.percentile(np.column_stack([likely, likely.sum(axis=1)]), [2.5, 97.5], axis=0).T
     ends = np.column_stack([np.minimum(ends[:, 0], near[:, 0]), np.maximum(ends[:, 1], near[:, 1])])
     ends += RESOLUTION * np.array([-1.0, 1.0])
-    ends[[0, 2], 1] += max(periods) / 2
-    return CommandLag(float(best[0]), float(best[1]), np.maximum(ends, 0.0), float(cost[0, 0] - cost.min()))
+    if not held.all():
+        ends[[0, 2], 1] += max(periods) / 2
+    likelihood = cost.min() - cost
+    return CommandLag(float(best[0]), float(best[1]), np.maximum(ends, 0.0), -float(likelihood[0, 0]), likelihood)
 
 
 def _stretches(time: np.ndarray, segment: np.ndarray) -> Iterator[slice]:

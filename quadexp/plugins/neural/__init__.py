@@ -2,5 +2,7 @@
 
 BRINGS = {
     "commands": {"fit-nn": "quadexp.plugins.neural.commands:fit_nn"},
+    "api": {"fit_nn": "quadexp.plugins.neural.api:fit_nn"},
+    "spellings": {"nn": "neural"},
     "models": {"neural": "quadexp.plugins.neural.neural"},
 }

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Out, command, file_rows, single_values
+from quadexp.cli.look import Columns, Failures, Filters, Limit, Sort, Where, selected
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
 from quadexp.names import without
@@ -143,12 +144,10 @@ def table(
     quadexp table results/x --rows trajectory,speed --columns controller --intervals pm --digits 3 --out table.tex
     quadexp table results/x --metric rmse --label gp_mpc="GP (ours)" --width page --out table.md
     """
-    from quadexp.messages import suggestion
     from quadexp.plugins.page.fitted import WIDTHS as POINTS
     from quadexp.plugins.page.fitted import fitted_latex
     from quadexp.plugins.page.paper_table import paper_table
-    from quadexp.plugins.page.view import SUCCESS
-    from quadexp.report.frame import is_metric
+    from quadexp.plugins.page.view import check_metric
 
     names = _labels(label)
     if out is not None:
@@ -158,9 +157,7 @@ def table(
             raise UsageError(f"--out {out}: end it in .tex, .md or .csv, or give --format latex, markdown or csv")
     frame, _ = _flights(results, where)
     metric = metric or str(frame.record.get("metric", "mean_error"))
-    if metric != SUCCESS and not (is_metric(metric) and metric in frame.names):
-        known = [*filter(is_metric, frame.names), SUCCESS]
-        raise UsageError(f"--metric {metric}: no number of a flight{suggestion(metric, known)}")
+    check_metric(frame, metric, "--metric")
     rendered = paper_table(
         frame, metric, rows=_keys(rows), columns=_keys(columns), names=names, intervals=intervals, digits=digits
     )
@@ -258,3 +255,26 @@ def compare(
     record |= {"picture": out} if out else {}
     record["checked"] = [f"{folder}: {files.text()}" for folder, files in checked.items()] + wrong
     return Answer(record, report["tables"], [*report["lines"], *([out] if out else [])])
+
+
+def results_html(
+    folder: Annotated[Path, Ask("A folder of `quadexp evaluate`.", "DIR")],
+    filters: Filters = (),
+    where: Where = None,
+    sort: Sort = None,
+    columns: Columns = None,
+    limit: Limit = None,
+    failures: Failures = False,
+    html: Annotated[Path | None, Ask("Write a sortable table as a page that opens offline.", "FILE")] = None,
+    force: Force = False,
+) -> Answer:
+    """\b
+    quadexp results results/table1 --html table.html
+    """
+    from quadexp.plugins.page.document import page_of
+
+    assert html is not None
+    rows = selected(folder, filters, where, sort, columns, limit, failures)
+    page = page_of(rows.frame, rows.named or [*rows.usual, "key"], folder.name)
+    write_text(check_output(html, force=force), page, force=force)
+    return Answer({"path": html}, [{"path": html}], [html])

@@ -5,4 +5,5 @@ BRINGS = {
     "api": {"tune": "quadexp.plugins.tune.api:tune", "Tuning": "quadexp.plugins.tune.api:Tuning"},
     "columns": {"tune": "quadexp.plugins.tune.columns:COLUMNS"},
     "tables": {"tuning": "quadexp.plugins.tune.api:Tuning"},
+    "reads": {"tune": "FLIGHT ENGINE evaluate.metric evaluate.log_period sweep"},
 }

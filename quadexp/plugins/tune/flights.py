@@ -14,7 +14,7 @@ from quadexp.parts.cells import Cell
 from quadexp.parts.schema import Config
 from quadexp.sweeps.engine import CellFunction, Engine, LocalEngine, Progress, Workers
 from quadexp.sweeps.plan import check_jobs, plan_cells
-from quadexp.sweeps.sweep import fly_missing, recall
+from quadexp.sweeps.sweep import SweepRequest, fly_missing, recall
 from quadexp.sweeps.sweep_table import Row
 
 
@@ -36,7 +36,8 @@ def fly_cells(
     if wrong := check_jobs(jobs.values()):
         raise UsageError(next(iter(wrong.values())))
     rows, _ = recall(store, jobs, "refly")
-    list(fly_missing(jobs, rows, store, engine or LocalEngine(), function, isolate, progress))
+    asked = SweepRequest(engine=engine, function=function, isolate=isolate, progress=progress)
+    list(fly_missing(jobs, rows, store, asked))
     return [rows[key] for key in jobs]
 
 

@@ -6,4 +6,5 @@ BRINGS = {
         "fly": "quadexp.plugins.vehicle.commands:fly",
     },
     "parts": {"exported": "quadexp.plugins.vehicle.exported"},
+    "reads": {"export-controller": "FLIGHT", "fly": "FLIGHT"},
 }

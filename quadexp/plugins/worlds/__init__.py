@@ -1,6 +1,7 @@
 """More of the world: navigation by a Kalman filter, Dryden turbulence, a battery, a slung load, the ground."""
 
 BRINGS = {
+    "groups": {"battery": "world actuator", "ground": "world health"},
     "parts": {"worlds": "quadexp.plugins.worlds"},
     "columns": {"worlds": "quadexp.plugins.worlds.columns:COLUMNS"},
 }

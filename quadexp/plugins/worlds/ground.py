@@ -64,6 +64,11 @@ class GroundEffect(Effect):
 
     stage = "ground"
 
+    @property
+    def ground_height(self) -> float:
+        """See Effect."""
+        return self.height
+
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         return Sizes(parameters=3 * vehicle.n_rotors + 3)
 

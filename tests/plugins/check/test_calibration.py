@@ -8,7 +8,7 @@ from benchmarks import log_faults
 from quadexp.log.schema import Flight
 from quadexp.plugins.check.axis_scale import gains
 from quadexp.plugins.check.quality import check_flight
-from quadexp.plugins.check.rotors import check_rotor_unit, plausible_speeds
+from quadexp.plugins.check.signals import check_rotor_unit, plausible_speeds
 from tests.log.imitated import attitude_of, imitated, vehicle_named
 from tests.plugins.check.faults import ACC, P, V, W, changed, times, turned
 
@@ -135,10 +135,10 @@ def test_a_bias_is_no_turn(flight, bias):
 
 def check_bias(flight):
     """That of the imitated flight itself, by what the gap's mean is: (3,)."""
-    from quadexp.plugins.check.axis_scale import body_force
+    from quadexp.plugins.check.sides import sensor_sides
     from quadexp.plugins.logs.signal.windows import cut, streams_of
 
-    x, y = body_force(cut(flight.t, streams_of(flight), np.ones(len(flight), bool)))
+    x, y = sensor_sides(cut(flight.t, streams_of(flight), np.ones(len(flight), bool)))["f"]
     return np.mean(y - x, axis=0)
 
 

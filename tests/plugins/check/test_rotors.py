@@ -8,7 +8,8 @@ import pytest
 
 from quadexp.log.schema import Flight
 from quadexp.plugins.check.quality import check_flight, check_flights
-from quadexp.plugins.check.rotors import check_voltage, judge, motion_of
+from quadexp.plugins.check.rotors import judge, motion_of
+from quadexp.plugins.check.signals import check_voltage
 from tests.log.imitated import VEHICLES, imitated, vehicle_named
 from tests.models.recorded_data import nanobench
 

@@ -15,7 +15,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.parts.compose import compose, expand
 from quadexp.plugins.cluster.cluster import DaskEngine, open_cluster
 from quadexp.sweeps.engine import LocalEngine
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.experiment.same import same_results
 from tests.plugins.cluster.dask_cluster import Cluster
 from tests.sweeps import cells
@@ -53,8 +53,8 @@ def at(address, **options):
 class TestSameEverywhere:
     def test_flights_equal_those_of_this_machine_bit_for_bit(self, engine, tmp_path):
         grid = [*SHORT, "controller=nominal_mpc,perfect_mpc", "seed=range(3)"]
-        at_home = run_sweep(expand(grid), tmp_path / "home", workers=2)
-        away = run_sweep(expand(grid), tmp_path / "away", engine=engine)
+        at_home = run_sweep(expand(grid), tmp_path / "home", SweepRequest(workers=2))
+        away = run_sweep(expand(grid), tmp_path / "away", SweepRequest(engine=engine))
         assert away.flown == 6 and not away.not_flown
         same_results(at_home, away)
         assert not [name for name in files(tmp_path) if name.endswith((".tmp", ".lock"))]
@@ -67,13 +67,13 @@ class TestSameEverywhere:
         grid = ["trajectory=file", "trajectory.path=track.csv", "controller=linear_drag_mpc", "model=models/drag"]
         grid += ["wind=file", "wind.path=wind.csv"]
         grid = [*grid, *INTERPRETED, "seed=0,1"]
-        away = run_sweep(expand(grid), "away", engine=engine)
+        away = run_sweep(expand(grid), "away", SweepRequest(engine=engine))
         assert not away.not_flown, away.not_flown[0]["cause"]
-        same_results(run_sweep(expand(grid), "home", workers=1), away)
+        same_results(run_sweep(expand(grid), "home", SweepRequest(workers=1)), away)
 
     def test_a_sweep_goes_on_with_another_engine(self, engine, tmp_path):
-        part = run_sweep(expand([*SHORT, "seed=range(2)"]), tmp_path / "r", workers=1)
-        whole = run_sweep(expand([*SHORT, "seed=range(4)"]), tmp_path / "r", engine=engine)
+        part = run_sweep(expand([*SHORT, "seed=range(2)"]), tmp_path / "r", SweepRequest(workers=1))
+        whole = run_sweep(expand([*SHORT, "seed=range(4)"]), tmp_path / "r", SweepRequest(engine=engine))
         assert (part.flown, whole.flown) == (2, 2) and len(whole.rows) == 4
         assert run_sweep(expand([*SHORT, "seed=range(4)"]), tmp_path / "r").flown == 0
 
@@ -83,7 +83,9 @@ class TestKill:
 
     @pytest.fixture(scope="class")
     def undisturbed(self, tmp_path_factory):
-        return run_sweep(expand([self.GRID]), tmp_path_factory.mktemp("r") / "r", function=cells.quick_cell, workers=2)
+        return run_sweep(
+            expand([self.GRID]), tmp_path_factory.mktemp("r") / "r", SweepRequest(function=cells.quick_cell, workers=2)
+        )
 
     def test_workers_and_nannies_killed_under_way(self, tmp_path, undisturbed):
         cluster = Cluster(tmp_path / "cluster")
@@ -101,7 +103,9 @@ class TestKill:
 
         try:
             result = run_sweep(
-                expand([self.GRID]), tmp_path / "r", function=cells.slow_cell, engine=on(cluster), progress=upset
+                expand([self.GRID]),
+                tmp_path / "r",
+                SweepRequest(function=cells.slow_cell, engine=on(cluster), progress=upset),
             )
         finally:
             cluster.stop()
@@ -126,12 +130,16 @@ class TestKill:
 
         try:
             with pytest.raises(QuadexpError, match=said):
-                run_sweep(expand([self.GRID]), tmp_path / "r", function=cells.slow_cell, engine=engine, progress=upset)
+                run_sweep(
+                    expand([self.GRID]),
+                    tmp_path / "r",
+                    SweepRequest(function=cells.slow_cell, engine=engine, progress=upset),
+                )
         finally:
             cluster.stop()
         left = len(CellStore(tmp_path / "r").done())
         assert 4 <= left < 30
-        result = run_sweep(expand([self.GRID]), tmp_path / "r", function=cells.quick_cell, workers=2)
+        result = run_sweep(expand([self.GRID]), tmp_path / "r", SweepRequest(function=cells.quick_cell, workers=2))
         assert result.flown == 30 - left
         same_results(undisturbed, result)
 
@@ -145,9 +153,9 @@ class TestKill:
         result = run_sweep(
             expand([self.GRID]),
             tmp_path / "r",
-            function=cells.slow_cell,
-            engine=on(cluster),
-            progress=lambda count, total: done.append(count),
+            SweepRequest(
+                function=cells.slow_cell, engine=on(cluster), progress=lambda count, total: done.append(count)
+            ),
         )
         assert result.flown == 30 - len(before) and done == list(range(len(before), 31))
         same_results(undisturbed, result)
@@ -165,13 +173,13 @@ class TestMistakes:
         monkeypatch.setattr("quadexp.plugins.cluster.cluster.CONNECT", 0.5)
         engine = built_engine(compose(["engine=dask", "engine.address=tcp://127.0.0.1:1"]))
         with pytest.raises(QuadexpError, match="engine.address=tcp://127.0.0.1:1 is not found") as caught:
-            run_sweep(expand(SHORT), tmp_path / "r", engine=engine)
+            run_sweep(expand(SHORT), tmp_path / "r", SweepRequest(engine=engine))
         assert "\n" not in str(caught.value)
 
     def test_nothing_is_started_for_a_finished_sweep(self, tmp_path):
-        run_sweep(expand(SHORT), tmp_path / "r", engine=LocalEngine(1))
+        run_sweep(expand(SHORT), tmp_path / "r", SweepRequest(engine=LocalEngine(1)))
         engine = DaskEngine(lambda: pytest.fail("it started a cluster"))
-        assert run_sweep(expand(SHORT), tmp_path / "r", engine=engine).flown == 0
+        assert run_sweep(expand(SHORT), tmp_path / "r", SweepRequest(engine=engine)).flown == 0
 
 
 def make_checkpoint(folder, drag=0.3):

@@ -14,7 +14,7 @@ pytest.importorskip("cryptography", reason="the extra `cluster` is not installed
 
 from quadexp.errors import QuadexpError
 from quadexp.parts.compose import compose, expand
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.experiment.same import same_results
 from tests.plugins.cluster.dask_cluster import ROOT
 from tests.sweeps import cells
@@ -70,9 +70,11 @@ def test_the_same_results_as_at_home(queue, tmp_path, system, program, said):
         seen.update(stat.S_IMODE(path.stat().st_mode) for path in shared.iterdir())
 
     engine = engine_of(f"engine.system={system}", "engine.wait=120", shared_temp_directory=shared)
-    away = run_sweep(expand([GRID]), tmp_path / "away", function=cells.quick_cell, engine=engine, progress=look)
+    away = run_sweep(
+        expand([GRID]), tmp_path / "away", SweepRequest(function=cells.quick_cell, engine=engine, progress=look)
+    )
     assert away.flown == 6 and not away.not_flown
-    same_results(run_sweep(expand([GRID]), tmp_path / "home", function=cells.quick_cell, workers=1), away)
+    same_results(run_sweep(expand([GRID]), tmp_path / "home", SweepRequest(function=cells.quick_cell, workers=1)), away)
     assert seen == {0o600}, "certificates that others may read"
     del engine
     gc.collect()
@@ -88,7 +90,9 @@ def test_what_a_queue_refuses_is_said_before_anything_is_flown(queue, tmp_path):
         python=f'#!/bin/sh\n{sys.executable} -c "import sys; print(sys.path)" > {seen}\n',
     )
     with pytest.raises(QuadexpError, match="engine=jobs is not found: the queue is closed"):
-        run_sweep(expand([GRID]), tmp_path / "r", engine=engine_of(python=tmp_path / "programs" / "python"))
+        run_sweep(
+            expand([GRID]), tmp_path / "r", SweepRequest(engine=engine_of(python=tmp_path / "programs" / "python"))
+        )
     assert not (tmp_path / "r").exists()
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"}
     subprocess.run(["bash", str(tmp_path / "script")], cwd=tmp_path, env=environment, check=True)
@@ -101,5 +105,5 @@ def test_what_a_queue_refuses_is_said_before_anything_is_flown(queue, tmp_path):
 def test_options_that_are_not_for_the_user(queue, tmp_path, options, says):
     queue(sbatch=REFUSE.format(folder=tmp_path))
     with pytest.raises(QuadexpError, match=says) as error:
-        run_sweep(expand([GRID]), tmp_path / "r", engine=engine_of(**options))
+        run_sweep(expand([GRID]), tmp_path / "r", SweepRequest(engine=engine_of(**options)))
     assert "\n" not in str(error.value) and not (Path(tmp_path) / "script").exists()

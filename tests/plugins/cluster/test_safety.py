@@ -17,7 +17,7 @@ from distributed.security import Security
 
 from quadexp.errors import QuadexpError
 from quadexp.parts.compose import compose, expand
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.experiment.same import same_results
 from tests.plugins.cluster.dask_cluster import ROOT, Cluster, descendants
 from tests.sweeps import cells
@@ -106,7 +106,9 @@ def test_nobody_else_runs_code_on_a_cluster_of_this_machine(tmp_path, capfd):
             said.append(intrusion(tmp_path, ports))
 
     engine = built_engine(compose(["engine=dask", "evaluate.workers=1"]))
-    result = run_sweep(expand([GRID]), tmp_path / "r", function=cells.slow_cell, engine=engine, progress=intrude)
+    result = run_sweep(
+        expand([GRID]), tmp_path / "r", SweepRequest(function=cells.slow_cell, engine=engine, progress=intrude)
+    )
     assert result.flown == 12 and not result.not_flown
     assert len(ports) >= 3, "scheduler, nanny, worker"
     assert {host for host, _ in addresses} == {"127.0.0.1"}, "the dashboard too listens on the loopback only"
@@ -122,8 +124,8 @@ def test_an_address_without_certificates_is_warned_of_and_everybody_runs_code_th
     port = cluster.address.rpartition(":")[2]
     try:
         run_sweep(
-            expand(["seed=range(4)"]), tmp_path / "r", function=cells.slow_cell, engine=engine,
-            progress=lambda done, total: said.append(intrusion(tmp_path, [port])) if done == 1 else None,
+            expand(["seed=range(4)"]), tmp_path / "r", SweepRequest(function=cells.slow_cell, engine=engine,
+            progress=lambda done, total: said.append(intrusion(tmp_path, [port])) if done == 1 else None),
         )  # fmt: skip
     finally:
         cluster.stop()
@@ -163,12 +165,14 @@ def test_a_scheduler_that_runs_already(tmp_path):
     engine = built_engine(compose(["engine=dask", f"engine.address={cluster.address}"]))
     try:
         with settings(own):
-            away = run_sweep(expand([GRID]), tmp_path / "away", function=cells.quick_cell, engine=engine)
+            away = run_sweep(expand([GRID]), tmp_path / "away", SweepRequest(function=cells.quick_cell, engine=engine))
         assert away.flown == 12 and not away.not_flown
-        same_results(run_sweep(expand([GRID]), tmp_path / "home", function=cells.quick_cell, workers=1), away)
+        same_results(
+            run_sweep(expand([GRID]), tmp_path / "home", SweepRequest(function=cells.quick_cell, workers=1)), away
+        )
         for others in (settings(certificate(tmp_path / "other")), contextlib.nullcontext()):
             with others, pytest.raises(QuadexpError, match="is not found") as error:
-                run_sweep(expand([GRID]), tmp_path / "r", function=cells.quick_cell, engine=engine)
+                run_sweep(expand([GRID]), tmp_path / "r", SweepRequest(function=cells.quick_cell, engine=engine))
             assert "\n" not in str(error.value) and not (tmp_path / "r").exists()
     finally:
         cluster.stop()

@@ -7,7 +7,7 @@ import torch
 from scipy.stats import multivariate_normal
 
 from quadexp.plugins.gaussian_process import sgpr
-from quadexp.plugins.gaussian_process.gaussian_process import OutputPosterior
+from quadexp.plugins.gaussian_process.posterior import OutputPosterior
 from quadexp.plugins.gaussian_process.sgpr import greedy_points
 
 JITTER = 1e-8

@@ -15,10 +15,9 @@ from quadexp.log.schema import Flight
 from quadexp.log.store import write_flight
 from quadexp.models.dataset import transitions
 from quadexp.parts.compose import compose
-from quadexp.plugins.identification.delays import _of_simulated, corrected_stream, identify_delays, overrides, sum_known
-from quadexp.plugins.identification.moments import Moments, Stream
+from quadexp.plugins.identification.ages import LARGEST_AGE, OVERLAP, SPAN, STEP, Stream, age_of_rates, age_of_state
+from quadexp.plugins.identification.delays import Commands, delays_of, identify_delays, overrides, stream_of
 from quadexp.plugins.identification.rotor_thrust import fit_timing
-from quadexp.plugins.identification.timing import Search
 from quadexp.plugins.logs.command_lag import CommandLag
 from tests.models.late_flights import C, late_flight
 
@@ -27,7 +26,7 @@ NOISY = ["controller=nominal_mpc", "world=everything", "trajectory=lemniscate", 
 
 def found(overrides_given):
     config = compose(overrides_given)
-    return Search(Moments(corrected_stream(fly_one(config), "a flight"), build_vehicle(config.vehicle))).find()
+    return delays_of(fly_one(config), "a flight", build_vehicle(config.vehicle))
 
 
 @pytest.mark.parametrize(
@@ -38,13 +37,14 @@ def test_delays_of_a_noisy_flight_are_those_of_its_world(age, latency, lag, gyro
     """With wind, noise, sag and a thrust that is off besides."""
     world = [f"estimator.delay={age}", f"estimator.gyro={gyro}", f"link.latency={latency}"]
     world += [f"actuator.time_constant_up={lag}", f"actuator.time_constant_down={lag}"]
-    delays = found([*NOISY, *world, "controller.allow_unstable=true"])
+    in_flight = found([*NOISY, *world, "controller.allow_unstable=true"])
+    delays = in_flight.delays
     assert delays.age_known and delays.commands_known
     assert delays.age == pytest.approx(age, abs=2e-3)
     assert delays.gyro == pytest.approx(age if gyro == "fresh" else 0.0, abs=2e-3)
     assert delays.dead_time + delays.lag == pytest.approx(latency + lag, abs=5e-3)
     assert delays.lag == pytest.approx(lag, abs=0.35 * lag)
-    settings = overrides(delays)
+    settings = overrides(in_flight)
     assert f"delay={'strapdown' if gyro == 'fresh' else 'prediction'}" in settings
 
 
@@ -54,23 +54,22 @@ def test_a_flight_without_delays_asks_for_nothing():
 
 def test_a_quiet_flight_does_not_tell():
     """Nothing changes at hover, so no time can be found in it: that is said, and no number is given."""
-    delays = found(["controller=nominal_mpc", "trajectory=hover", "world=only_late_estimate"])
-    assert not delays.age_known and not delays.commands_known and not overrides(delays)
+    quiet = found(["controller=nominal_mpc", "trajectory=hover", "world=only_late_estimate"])
+    assert not quiet.delays.age_known and not quiet.delays.commands_known and not overrides(quiet)
 
 
 def test_uneven_samples_are_refused():
-    t = np.array([0.0, 0.02, 0.05])
+    flight = late_flight(0.02, 0.03)
+    t = flight.t + 1e-3 * np.sin(np.arange(len(flight)))
     with pytest.raises(DataError, match="evenly spaced"):
-        corrected_stream(Flight({"t": t}, {}), "a flight")
+        stream_of(Flight(flight.columns | {"t": t}, flight.metadata), "a flight")
 
 
-@pytest.mark.parametrize(("without", "said"), [("u_", "commands of the rotors"), ("acc_", "accelerometer, and acc_x")])
-def test_a_log_without_commands_or_accelerometer_is_refused(without, said):
-    """As imported logs are whose motors were given in numbers of a driver."""
-    flight = fly_one(compose(["controller=nominal_mpc", "trajectory=hover", "trajectory.duration=1"]))
-    columns = {name: values for name, values in flight.columns.items() if not name.startswith(without)}
-    with pytest.raises(DataError, match=f"log: delays are found from the {said}"):
-        corrected_stream(Flight(columns, flight.metadata), "log")
+def test_a_log_without_an_accelerometer_is_refused():
+    flight = late_flight(0.02, 0.03)
+    columns = {name: values for name, values in flight.columns.items() if not name.startswith("acc_")}
+    with pytest.raises(DataError, match="log: column 'acc_x' is missing"):
+        stream_of(Flight(columns, flight.metadata), "log")
 
 
 def test_a_log_tells_by_commands_of_any_unit_and_by_the_speeds_of_its_rotors(tmp_path):
@@ -95,10 +94,11 @@ def test_a_sum_that_is_known_is_set():
     """Dead time and lag each uncertain by 15 ms, their sum by 6: the likeliest parts are set; at a bound none is."""
     intervals = np.array([[0.0, 0.03], [0.03, 0.06], [0.054, 0.066]])
     late = CommandLag(0.015, 0.045, intervals, 50.0)
-    assert sum_known(late)
-    assert not sum_known(late._replace(intervals=intervals + [[0.0, 0.0], [0.0, 0.2], [0.0, 0.2]]))
-    assert not sum_known(late._replace(intervals=np.array([[0.0, 0.03], [0.0, 0.06], [0.02, 0.1]])))
-    assert not sum_known(late._replace(worth=1.0))
+    assert Commands(late, "").sum_known
+    at_bound = late._replace(intervals=intervals + [[0.0, 0.0], [0.0, 0.2], [0.0, 0.2]])
+    unsure = late._replace(intervals=np.array([[0.0, 0.03], [0.0, 0.06], [0.02, 0.1]]))
+    for unknown in (at_bound, unsure, late._replace(worth=1.0), None):
+        assert not Commands(unknown, "").sum_known
 
 
 def test_a_log_whose_parts_are_unsure_sets_its_sum(tmp_path):
@@ -118,15 +118,15 @@ def test_data_set_and_delays_agree():
     config = compose(["controller=nominal_mpc", "trajectory=lemniscate", "trajectory.speed=5", "link=latency",
                       "link.latency=0.02", "controller.allow_unstable=true"])  # fmt: skip
     vehicle, flight = build_vehicle(config.vehicle), fly_one(config)
-    _, delays = _of_simulated(flight, "a flight", vehicle)
+    delays = delays_of(flight, "a flight", vehicle).delays
     timing = fit_timing([flight], vehicle, [transitions(flight, vehicle)]).timing
     assert delays.dead_time == pytest.approx(timing.delay, abs=1e-3) == pytest.approx(0.02, abs=1e-3)
 
 
 def test_too_few_samples_are_refused():
     flight = fly_one(compose(["controller=nominal_mpc", "trajectory=hover", "trajectory.duration=1"]))
-    with pytest.raises(DataError, match=r"delays cannot be found in 51 samples, 100 are needed"):
-        Moments(corrected_stream(flight, "short"), build_vehicle(compose([]).vehicle))
+    with pytest.raises(DataError, match=r"delays cannot be found in 50 samples, 100 are needed"):
+        delays_of(flight, "short", build_vehicle(compose([]).vehicle))
 
 
 def test_the_command_prints_what_to_set(tmp_path):
@@ -154,13 +154,55 @@ def test_an_age_shows_on_the_axes_that_the_noise_of_the_thrust_is_not_on(age):
     force = np.column_stack([2 * np.sin(3 * t), 2 * np.cos(2 * t), np.full(len(t), 9.81 / np.cos(0.4))])
     acceleration = attitude.apply(force) - [0, 0, 9.81]
     velocity = np.vstack([np.zeros(3), np.cumsum((acceleration[1:] + acceleration[:-1]) / 2 * step, axis=0)])
-    q = attitude.as_quat(scalar_first=True)
     rate = np.tile(Rotation.from_euler("y", 0.4).inv().apply([0, 0, 1.6]), (len(t), 1))
-    state = np.column_stack([0 * velocity, q, velocity, rate])
     now = np.arange(round(0.2 / step), len(t), round(period / step))
+    late = now - round(age / step)
     reading = force[now] + rng.normal(size=(len(now), 3)) * [0.02, 0.02, 1.5]
-    vehicle = build_vehicle(compose([], None).vehicle)
-    command = np.full((len(now), 4), vehicle.hover_thrust)
-    stream = Stream(t[now], state[now - round(age / step)], reading, command)
-    found = Search(Moments(stream, vehicle)).find()
-    assert found.age == pytest.approx(age, abs=5e-4) and found.age_error < 1e-3
+    found = age_of_state(Stream(t[now], velocity[late], attitude[late], rate[late], reading), 9.81)
+    assert found.value == pytest.approx(age, abs=5e-4) and found.error < 1e-3
+
+
+def test_what_a_shift_leaves_is_that_of_the_samples(rng):
+    """Smooth at random; readings linear in between, integrated over each period by quadrature, turned by the attitude
+    in its middle: the likelihoods of the ages are those of what then remains on the axes of the body."""
+    period = 0.02
+    t = period * np.arange(260)
+
+    def waves():
+        phases, rates = rng.uniform(0, 6, (5, 3)), rng.uniform(0.5, 9, (5, 3))
+        return np.sin(t[:, None, None] * rates + phases).sum(axis=1) / 3
+
+    attitude, force, velocity = Rotation.from_rotvec(0.4 * waves()), [0, 0, 9.8] + 2 * waves(), 4 * waves()
+    age = age_of_state(Stream(t, velocity, attitude, waves(), force), 9.81)
+    middle = attitude[:-1] * Rotation.from_rotvec((attitude[:-1].inv() * attitude[1:]).as_rotvec() / 2)
+    fine = (np.arange(400) + 0.5) / 400 * period
+    span, first = round(SPAN / period), round(LARGEST_AGE / period) + 1
+
+    def likelihood(shift):
+        steps = np.zeros((len(t), 3))
+        for k in range(1, len(t)):
+            at = t[k - 1] + fine - shift
+            mean = [np.interp(at, t, force[:, i]).mean() for i in range(3)]
+            steps[k] = middle[k - 1].apply(mean) * period
+        total = np.cumsum(steps, axis=0)
+        error = [0, 0, 9.81 * period * span] + velocity[span:] - velocity[:-span] - total[span:] + total[:-span]
+        error = attitude[first + span // 2 :][: len(t) - span - first].inv().apply(error[first:])
+        return -len(error) / OVERLAP / 2 * np.log(np.var(error, axis=0)).sum()
+
+    for shift in (0.013, 0.02, 0.071):
+        found = age.likelihood[round(shift / STEP)] - age.likelihood[0]
+        assert found == pytest.approx(likelihood(shift) - likelihood(0.0), rel=1e-6)
+
+
+def test_rates_that_are_fresh_are_younger_than_the_attitude(rng):
+    """By 30 ms, with noise of 0.02 rad/s."""
+    t = 0.005 * np.arange(3000)
+    waves = np.sin(t[:, None] * [3.0, 4.0, 1.0] + [0.0, 1.0, 2.0])
+    attitude = Rotation.from_rotvec(0.5 * waves)
+    rate = np.zeros((len(t), 3))
+    rate[1:] = (attitude[:-1].inv() * attitude[1:]).as_rotvec() / 0.005
+    now = np.arange(10, len(t), 4)
+    noisy = rate[now] + 0.02 * rng.standard_normal((len(now), 3))
+    still = np.zeros((len(now), 3))
+    found = age_of_rates(Stream(t[now], still, attitude[now - 6], noisy, still))
+    assert found.value == pytest.approx(0.03, abs=3.5e-3)

@@ -9,20 +9,18 @@ import pytest
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
 from quadexp.models.checkpoint import load_model, save_model
-from quadexp.plugins.identification import vehicle_model as ladder
-from quadexp.plugins.identification.identify import chosen_curve, identify_vehicle
-from quadexp.plugins.identification.lines import identification_lines
-from quadexp.plugins.identification.vehicle_model import (
-    FitSettings,
+from quadexp.plugins.identification import comparison
+from quadexp.plugins.identification.comparison import (
     best_level,
+    chosen_curve,
     compare_curves,
-    fit_level,
-    fit_vehicle_model,
-    flight_by_flight,
     left_out,
     rmse,
     selection,
 )
+from quadexp.plugins.identification.identify import identify_vehicle
+from quadexp.plugins.identification.lines import identification_lines
+from quadexp.plugins.identification.vehicle_model import FitSettings, fit_level, fit_vehicle_model, flight_by_flight
 from quadexp.plugins.logs.samples import gather
 from tests.log.imitated import vehicle_named
 from tests.models.logged_flights import CURVE, DRAG, OFFSET, logged_flight, specific_force
@@ -142,7 +140,7 @@ def two_batteries(exponent: float) -> list[Flight]:
 
 
 def chosen(flights: list[Flight]) -> FitSettings:
-    return chosen_curve(ladder.compare_curves(gather(flights, "motor_command"), FitSettings()), FitSettings())
+    return chosen_curve(comparison.compare_curves(gather(flights, "motor_command"), FitSettings()), FitSettings())
 
 
 def test_two_flights_on_two_batteries_tell_the_voltage_exponent():
@@ -170,7 +168,7 @@ def test_an_exponent_that_no_motor_has_is_not_used():
     flights = [logged_flight(seed) for seed in (30, 31)]
     columns = dict(on_another_battery(flights[1], 0.1, 1.0).columns)
     columns["acc_z"] = 1.3 * columns["acc_z"]
-    rows = ladder.compare_curves(
+    rows = comparison.compare_curves(
         gather([flights[0], Flight(columns, flights[1].metadata)], "motor_command"), FitSettings()
     )
     fitted = {tuple(row["powers"]): row["exponent"] for row in rows if row["voltage"] == "V^g"}
@@ -180,12 +178,12 @@ def test_an_exponent_that_no_motor_has_is_not_used():
 
 def test_a_thinned_ladder_says_the_same(monkeypatch):
     samples = gather([logged_flight(seed) for seed in range(3)], "motor_command")
-    every = ladder.selection(samples, FitSettings())
-    monkeypatch.setattr(ladder, "MOST_SAMPLES", 1500)
-    some = ladder.selection(samples, FitSettings())
+    every = comparison.selection(samples, FitSettings())
+    monkeypatch.setattr(comparison, "MOST_SAMPLES", 1500)
+    some = comparison.selection(samples, FitSettings())
     for a, b in zip(every, some, strict=True):
         assert b["held_out"]["norm"] == pytest.approx(a["held_out"]["norm"], rel=0.05)
-    assert ladder.best_level(some) == ladder.best_level(every)
+    assert comparison.best_level(some) == comparison.best_level(every)
 
 
 @cache
@@ -197,19 +195,19 @@ def identified_of_drag(radius):
     return identify_vehicle(flights, ["a", "b", "c"], vehicle, FitSettings(radius=radius))
 
 
-@pytest.mark.parametrize(("radius", "winner"), [(0.02, "blade_element"), (0.3, ladder.HOVER_INFLOW)])
+@pytest.mark.parametrize(("radius", "winner"), [(0.02, "blade_element"), (0.3, comparison.HOVER_INFLOW)])
 def test_knowing_the_radius_keeps_the_row_without_it_and_takes_the_better(radius, winner):
     """Linear drag is the truth: which radius helps on flights left out is chance, and the ladder shows both rows."""
     without, found = identified_of_drag(None), identified_of_drag(radius)
     rows = {row["level"]: row for row in found.report["selection"]}
     alone = {row["level"]: row for row in without.report["selection"]}
-    assert ladder.HOVER_INFLOW in rows and ladder.HOVER_INFLOW not in alone
-    assert rows[ladder.HOVER_INFLOW]["held_out"] == alone["blade_element"]["held_out"]
-    scores = {level: rows[level]["held_out"]["norm"] for level in ("blade_element", ladder.HOVER_INFLOW)}
+    assert comparison.HOVER_INFLOW in rows and comparison.HOVER_INFLOW not in alone
+    assert rows[comparison.HOVER_INFLOW]["held_out"] == alone["blade_element"]["held_out"]
+    scores = {level: rows[level]["held_out"]["norm"] for level in ("blade_element", comparison.HOVER_INFLOW)}
     assert min(scores, key=scores.__getitem__) == winner
     assert isinstance(found.model.blade_element.momentum, tuple) == (winner == "blade_element")
     noted = any("its error on held-out flights is smaller" in note for note in found.model.notes)
-    assert noted == (winner == ladder.HOVER_INFLOW)
+    assert noted == (winner == comparison.HOVER_INFLOW)
     lines = identification_lines(found.model, found.report)
     assert any(line.startswith("blade element, no V_I") for line in lines)
     assert any(line.startswith("blade element, with V_I") for line in lines)

@@ -16,7 +16,7 @@ from quadexp.models.linear_drag import LinearDrag
 from quadexp.parts.compose import compose, expand
 from quadexp.plugins.page.compare import change, compare, differing
 from quadexp.report.metrics import to_columns
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.log.flights import straight_flight
 from tests.report.test_tables import row
 from tests.sweeps import cells
@@ -119,7 +119,7 @@ class TestResults:
     @staticmethod
     def sweep(folder, *overrides):
         """Flights whose error is 10 mm times the seed (tests/sweeps/cells.py)."""
-        run_sweep(expand(list(overrides)), folder, function=cells.quick_cell, isolate=False)
+        run_sweep(expand(list(overrides)), folder, SweepRequest(function=cells.quick_cell, isolate=False))
         return folder
 
     @staticmethod

@@ -8,7 +8,7 @@ from quadexp.log.cell_store import CellStore
 from quadexp.parts.compose import expand
 from quadexp.plugins.page.sweep_figures import SweepFigures
 from quadexp.sweeps.engine import Workers
-from quadexp.sweeps.sweep import run_sweep
+from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.cli.command import run
 
 ASKED = ["controller=nominal_mpc,perfect_mpc", "trajectory.speed=3,4", "trajectory.acceleration=1.5"]
@@ -28,7 +28,7 @@ def drawn(out):
 @pytest.fixture(scope="module")
 def first(tmp_path_factory):
     out = tmp_path_factory.mktemp("figures") / "results"
-    rows = run_sweep(expand([*ASKED, "trajectory=circle", "seed=0"]), out, isolate=False).rows
+    rows = run_sweep(expand([*ASKED, "trajectory=circle", "seed=0"]), out, SweepRequest(isolate=False)).rows
     files, failed = draw(out, rows)
     assert not failed and set(files) == {f"figure_{name}" for name in CIRCLE}
     return out, rows

@@ -9,12 +9,8 @@ from scipy.spatial.transform import Rotation
 from quadexp.compile.backend import BufferedFunction, compiler, realise
 from quadexp.models.linear_drag import adapting_drag, linear_drag_acceleration, linear_drag_residual
 from quadexp.plugins.aerodynamics.terms import adapting_terms
-from quadexp.plugins.gaussian_process.gaussian_process import (
-    JITTER,
-    adapting_process,
-    gaussian_process_residual,
-    mean_only,
-)
+from quadexp.plugins.gaussian_process.gaussian_process import JITTER, adapting_process
+from quadexp.plugins.gaussian_process.posterior import gaussian_process_residual, mean_only
 from quadexp.plugins.gaussian_process.sgpr import Hyperparameters, sparse_posterior
 from quadexp.plugins.neural.neural import adapting_network, neural_residual
 from quadexp.plugins.remedies.online import Law, from_zero, prior_belief, update_function

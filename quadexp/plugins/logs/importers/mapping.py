@@ -33,7 +33,7 @@ import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
-from quadexp.parts.options import read_mapping
+from quadexp.parts.yaml_files import read_mapping
 from quadexp.plugins.logs.units import (
     BODY_FRAMES,
     ELECTRICAL,

@@ -17,7 +17,7 @@ the part of it that is younger than tau.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 from quadexp.compile.symbolic import ca
 from quadexp.control.inputs import Circumstances, Inputs
@@ -34,6 +34,7 @@ class KnownDelay(LayerPart):
     """How old the state is that the controller is given."""
 
     prefix = "delay."
+    age_key: ClassVar[str] = "time"
 
     time: float = key(0.01, "age of the measured state that is compensated", "[0, 0.5]", "s")
 

@@ -206,4 +206,7 @@ class Session:
         record = self.loop.record
         assert record is not None
         self.times.append(float(self.loop.times[k]))
-        self.log.add(x, thrusts, state, inputs, reading, np.zeros(0), x, record, self.ages[-1], {})
+        self.log.add(
+            record, self.ages[-1], {}, state=x, input=thrusts, reading=reading, state_reference=state,
+            input_reference=inputs, estimate=x,
+        )  # fmt: skip
