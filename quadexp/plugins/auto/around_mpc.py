@@ -123,8 +123,9 @@ def mpc_form(
     acts: Decision, period: float, spacing: float, sent: int, parts: int, sizes: tuple[tuple[str, int], ...]
 ) -> tuple[Any, ...]:
     """See plan_function: the dead time in samples of the reference, `spacing` apart (s); what is left of it counts as
-    lag, which is inverted, up to the gain 1 / (1 - exp(-T / lag)) = largest_lead on a change of thrust, since more would
-    amplify noise, and up to most_inverted, since a lag that is off by more than a fast loop bears undoes it. table: of each grid the numbers of these sizes. sent, parts: of what predicts over the wait."""
+    lag, which is inverted, up to the gain 1 / (1 - exp(-T / lag)) = largest_lead on a change of thrust, since more
+    would amplify noise, and up to most_inverted. table: of each grid the numbers of these sizes. sent, parts: of what
+    predicts over the wait."""
     s = DECISION
     invertible = min(-period / math.log(1 - 1 / s.largest_lead), s.most_inverted)
     waits = acts.dead_time + ca.fmax(acts.lag - invertible, 0)

@@ -96,7 +96,8 @@ class Auto(WrappedController):
         self._memory = Memory("Auto", KEPT)
         now, flags = self._memory.of_now, ("searches", "rounds")
         told = {name: self._bank.part(name) for name in ("lateral", "noise")}
-        told |= {"timing": now["decision"][-1:], "apart": now["apart"], "late": now["late"], "delays": now["decision"][:3]}
+        told |= {"timing": now["decision"][-1:], "delays": now["decision"][:3]}
+        told |= {name: now[name] for name in ("apart", "late")}
         self._filter = DisturbanceFilter(vehicle, air, theta, period, backend, of, told)
         self._search = Search(self._bank, backend, {name: now[name] for name in flags})
         # By which age and delays cannot be distinguished: by readings that are old, or as old as nobody says, as far as

@@ -79,8 +79,8 @@ def beliefs(flight: Flight) -> list[Belief]:
         known = np.isfinite(low)
         if known.any():
             assumed = np.where(known, value, np.nan)
-            arrays = (factor * array for array in (assumed, low, high, true.get(column, unknown)))
-            quantities.append(Belief(name, unit, *arrays, limit))
+            truth = factor * true.get(column, unknown)
+            quantities.append(Belief(name, unit, factor * assumed, factor * low, factor * high, truth, limit))
     return quantities
 
 

@@ -2,9 +2,10 @@
 
 age               posterior mean, where the Bayes factor against none is very strong
 dead time, lag    posterior mean, where it is positive
-stiffness         by the timing uncertainty  sigma = sd(D) + |D - acted| + max(sd(a), |a - acted| / 2) / 2, the noise of the
-                  estimated position, how commands alternate, and whether rotors saturate; one grid at a time towards
-                  the stiffer. Where age or total may be any larger one than those of the grid it is the softest.
+stiffness         by the timing uncertainty  sigma = sd(D) + |D - acted| + max(sd(a), |a - acted| / 2) / 2, the noise
+                  of the estimated position, how commands alternate, and whether rotors saturate; one grid at a time
+                  towards the stiffer. Where age or total may be any larger one than those of the grid, and as long as
+                  there are few readings, it is the softest.
 
 A look at the evidence begins a search for the posterior where one is due: the coarse grid in the next instant, finer
 ones in those after it, each where the last one ended, until one's mode is not on its edge. As a flight begins, all are

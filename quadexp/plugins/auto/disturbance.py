@@ -105,8 +105,8 @@ class DisturbanceFilter:
 
     belief: (11,), see control.base.Belief. deviations: see DEVIATIONS. acts: (3,), whether a disturbance across the
     thrust, one along it, and a torque are assumed. given: arrays of the uncertainty of the commands' delay, timing, by
-    which age and delays cannot be distinguished, `apart` (s), and of variances that a bank has measured, lateral,
-    noise.
+    which age and delays cannot be distinguished, `apart`, by which an age is off that acts, `late`, of age, dead time
+    and lag that act, `delays` (s), and of variances that a bank has measured, lateral, noise.
     """
 
     def __init__(
@@ -309,8 +309,8 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
 
 
 def mean_share(period: float, lag: ca.MX) -> ca.MX:
-    """Share w of what a thrust was as a period began, beside 1 - w of what it is as it ends, in the mean thrust over it:
-    of a first-order lag (s) from the one to the other, between 0 (no lag) and 1/2."""
+    """Share of what a thrust was as a period (s) began in its mean over the period, the rest being what it is at the
+    end: of a first-order lag (s) from the one to the other, between 0 (no lag) and 1/2."""
     slowness = ca.fmax(lag, INSTANT) / period
     rest = ca.exp(-1 / slowness)
     return (slowness * (1 - rest) - rest) / (1 - rest)

@@ -193,7 +193,7 @@ class ReportSettings:
     settled: float = 20.0  # time constants, after which nothing is left of a lag of the thrusts
     recent: float = 4.0  # time constants of a low pass, after which 2 % of a step are left
     last: float = 2.0  # s, over which the scale of the thrust is taken
-    rounded: float = 1e-3  # of half a band, below which a value is none
+    rounded: float = 0.02  # of a band, below which a value is none
     height: float = 1e-9  # of an axis, at least
 
 

@@ -25,6 +25,7 @@ from tests.slow import slow
 pytestmark = pytest.mark.usefixtures("unmeasured")
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"  # whose vehicle has six rotors
 INTERPRETED = ("controller.backend=interpreted", "plant.backend=interpreted")  # where nothing is flown
+DRAG = ("linear", 0.15, 0), ("quadratic", 0.04, 0.04)  # kind, across and along the thrust, of 0.5 kg
 PATH = ("trajectory=circle", "trajectory.speed=8", "sensor.accelerometer_noise=[0.05,0.05,0.05]", "seed=5")
 
 
@@ -480,6 +481,36 @@ def test_a_lag_is_inverted_within_bounds_at_a_high_rate():
 def test_a_rate_below_that_of_decisions_is_flown():
     words = ["controller=geometric", "controller.rate=4", "trajectory=hover", "controller.allow_unstable=true"]
     assert len(fly_one(compose([*words, "trajectory.duration=2", "remedies=auto"]))) > 1
+
+
+def slow_hover(seed, *given):
+    """A flight of perfect_mpc in hover, a vehicle that nobody measured."""
+    asked = ["controller=perfect_mpc", "controller.allow_unstable=true", "trajectory=hover", f"seed={seed}"]
+    return fly_one(compose([*asked, "remedies=auto", *given]))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_at_a_low_rate_nothing_is_made_of_an_age_that_does_not_act_yet(seed):
+    """Readings of 23 Hz show an age of 69 ms after 0.26 s, and it acts after 0.4 s. In between the horizon was stiff,
+    and a torque was found from rates of another time: lost after 2 s with every seed that was tried."""
+    body = ["vehicle=hummingbird", "truth.mass=1.241", "truth.inertia=[1.235,0.958,0.802]", "controller.rate=23"]
+    body += [f"plant.{kind}_drag=[{across},{across},{along}]" for kind, across, along in DRAG]
+    world = ["wind=dryden", "wind.velocity=[2.34,0,0]", "estimator=late_noisy", "estimator.delay=0.069"]
+    world += ["actuator=first_order", "actuator.time_constant_up=0.0061", "actuator.time_constant_down=0.0061"]
+    sensors = ["sensor=high", "sensor.sheet_factor=2.888"]
+    flight = slow_hover(seed, *body, *world, *sensors, "trajectory.duration=4")
+    assert flight.outcome == "ok" and position_error(flight).max() < 0.5
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_at_a_low_rate_a_lag_is_inverted_within_bounds(seed):
+    """At 26 Hz nearly all of a lag of 60 ms was inverted: with 40 ms of dead time and inertias off by a quarter
+    commands went from limit to limit, and the vehicle was lost within 8 s or left its corridor."""
+    body = ["vehicle=blackbird", "truth.mass=1.2", "truth.inertia=[0.77,1.13,1.14]", "controller.rate=26"]
+    world = ["link=latency", "link.latency=0.04", "actuator=first_order"]
+    world += [f"actuator.time_constant_{way}=0.06" for way in ("up", "down")]
+    flight = slow_hover(seed, *body, *world, "trajectory.duration=8")
+    assert flight.outcome == "ok" and position_error(flight).max() < 0.5
 
 
 @pytest.mark.parametrize("words", [["controller.horizon=1.5"], ["controller.first_node=0.03"], ["horizon=robust"]])
