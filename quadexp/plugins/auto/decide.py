@@ -156,7 +156,8 @@ def decision_function(
     saturates = kept["saturates"] + share * (saturated - kept["saturates"])
     position = ca.sqrt(ca.fmax(a["noise"][1], 0)) * (elapsed > BANK.measured_after + rounding)
     enough = a["count"] >= s.few_readings
-    statistics = Statistics(position, saturated, saturates, ca.mmax(a["acts"]) > 0, len(s.grids) * enough)
+    acts_now = enough * (ca.mmax(a["acts"]) > 0)
+    statistics = Statistics(position, saturated, saturates, acts_now, len(s.grids) * enough)
     crossed = ca.vertcat(position > s.large_noise, saturated > s.saturated, saturates > s.saturates, statistics.acts)
     often, seldom = (max(1, round(each / period)) for each in (s.soonest, s.checks))
 
