@@ -15,12 +15,16 @@
 #ifndef INTEGER
 #define INTEGER long long /* likewise */
 #endif
+#ifndef SUM
+#define SUM REAL /* of what a GATHER sums up over a flight */
+#endif
 
 enum { BODY = 13, ATTITUDE = 3, PATH = 15, YAW = 4 };
 /* KINDS of control_step.py */
 enum { CALL, COPY, COMMIT, WINDOW, SQUARE, DIVIDE, MIX, ADD, GATHER, FINITE, NEAR, PLAN, PYTHON };
 
 typedef REAL real;
+typedef SUM sum;
 typedef INTEGER integer;
 
 static const real HUGE_NUMBER = (real)1e30; /* beyond which sums may not be finite */
@@ -37,7 +41,7 @@ typedef struct { /* a function that CasADi has generated, its arrays and its mem
 } function;
 
 typedef struct { /* see control_step.py; next: of a COMMIT, its source; count: of a WINDOW, length of to's rows, factor: how
-   many, where source says which; rows, columns: of a GATHER's block */
+   many, where source says which; rows, columns: of a GATHER's block, whose `to` are sums */
     integer kind, every, count, rows, columns;
     real factor;
     real *to, *next, *other;
@@ -174,14 +178,16 @@ static void look_ahead(const reference *r, integer at, const step_call *o, integ
 }
 
 /* Every number is summed up in the order of the rows. */
-static void gather(real *restrict to, const step_call *o) {
+static void gather(const step_call *o) {
     const integer n = o->columns, block = o->rows * n;
-    const real factor = o->factor, *last = to + o->count;
+    const sum factor = o->factor;
+    sum *restrict to = (void *)o->to;
+    const sum *last = to + o->count;
     for (const real *source = o->source; to < last; source += block)
         for (integer i = 0; i < n; i++, to += n) {
             for (integer j = 0; j < n; j++) to[j] = factor * to[j];
             for (const real *row = source; row < source + block; row += n)
-                for (integer j = 0; j < n; j++) to[j] += row[i] * row[j];
+                for (integer j = 0; j < n; j++) to[j] += (sum)row[i] * (sum)row[j];
         }
 }
 
@@ -206,7 +212,7 @@ static int operate(const loop *l, const step_call *o, const reference *r, intege
     case MIX:
         for (integer i = 0; i < n; i++) o->to[i] = o->factor * o->source[i] + (1 - o->factor) * o->other[i];
         return 1;
-    case GATHER: gather(o->to, o); return 1;
+    case GATHER: gather(o); return 1;
     case FINITE: return ordinary(o->source, n, HUGE_NUMBER);
     case NEAR: return distance(o->source, o->other) <= o->factor || within_reach(o, l->plan);
     case PLAN: return planned(l->plan);

@@ -46,6 +46,7 @@ class Form:
     lag: rotors lag behind their commands, and their thrusts are states: m = 13 + n of them; otherwise m = 13.
     deviation: nodes hold the deviation from the reference's thrust, see control.mpc.prediction.
     disturbed: the model has a disturbance, see physics.rigid_body: an input like the others, constant over the horizon.
+    width: numbers of which a row is a multiple; 1 for processors without vector registers.
     """
 
     inputs: int
@@ -54,6 +55,7 @@ class Form:
     lag: bool = False
     deviation: bool = False
     disturbed: bool = False
+    width: int = 8
 
     @property
     def states(self) -> int:
@@ -73,7 +75,7 @@ class Form:
     @property
     def line(self) -> int:
         """Length of a row: states without position, inputs, the affine column, padding."""
-        return 8 * ((self.states - N_PLACE + self.inputs) // 8 + 1)
+        return self.width * ((self.states - N_PLACE + self.inputs) // self.width + 1)
 
 
 def linearise_function(vehicle: Vehicle, residual: Residual, form: Form, *, scalar: bool) -> ca.Function:

@@ -36,7 +36,8 @@ typedef real lanes __attribute__((vector_size(sizeof(real) * LANES))); /* one nu
 #define LANE(v, l) (v)[l]
 #endif
 
-enum { PLACE = 3, ATTITUDE = 3, MOTION = STATES - PLACE, AFFINE = MOTION + N_INPUTS, LINE = (AFFINE / 8 + 1) * 8 };
+enum { PLACE = 3, ATTITUDE = 3, MOTION = STATES - PLACE, AFFINE = MOTION + N_INPUTS };
+enum { WIDTH = LANES > 1 ? 8 : 1, LINE = (AFFINE / WIDTH + 1) * WIDTH }; /* as Form.line */
 enum { BLOCK = STATES * LINE, USED = (AFFINE / LANES + 1) * LANES, COST = BLOCK + PLACE * PLACE };
 enum { PUSHED = 6 }; /* numbers of a disturbance */
 enum { IS_DOUBLE = sizeof(real) == 8 };
@@ -284,7 +285,8 @@ static void move_and_weigh(const real **arg, real **res, integer nodes, real *wo
   }
 }
 
-#define BOUNDED_MEMORY(nodes) (ACTIVE_SET_MEMORY(nodes) + (nodes) * (2 * STATES + 4 * N_INPUTS))
+/* What stands behind S once it is made, 7 n N + 2 (m + 2 n) N, needs less than its making did, (m + 2 n) n N. */
+#define BOUNDED_MEMORY(nodes) (INVERSE_HESSIAN(nodes) + INVERSE_HESSIAN_MEMORY(nodes))
 #ifndef SCALAR
 /* Of w, for N nodes and p parameters. */
 integer mpc_memory(integer nodes, integer parameters) {
@@ -398,9 +400,11 @@ int mpc_bounded(const real **arg, real **res, integer *iw, real *w, int memory) 
   const integer nodes = iw[0], inputs = N_INPUTS * nodes, states = STATES * nodes;
   const real *U_lin = res[OUT_U_lin], *low = arg[IN_u_min], *high = arg[IN_u_max];
   real *X = res[OUT_bounded_X], *U = res[OUT_bounded_U], turn = 0;
-  real *const dX = w + ACTIVE_SET_MEMORY(nodes), *const weights = dX + states, *const dU = weights + states;
+  real *const tail = w + INVERSE_HESSIAN(nodes), *const dX = tail + ACTIVE_SET_MEMORY(nodes);
+  real *const weights = dX + states, *const dU = weights + states;
   real *const start = dU + inputs, *const below = start + inputs, *const above = below + inputs;
   (void)memory;
+  inverse_hessian(nodes, res[OUT_rows], res[OUT_K], res[OUT_factor], w, tail);
   for (integer j = 0; j < inputs; ++j) {
     start[j] = res[OUT_U_new][j] - U_lin[j];
     below[j] = low[j % N_INPUTS] - U_lin[j];
@@ -408,8 +412,8 @@ int mpc_bounded(const real **arg, real **res, integer *iw, real *w, int memory) 
   }
   for (integer j = 0; j < states; ++j)
     weights[j] = j < states - STATES ? arg[IN_Q][STATES + j] : arg[IN_Q_end][j - states + STATES];
-  active_set(nodes, res[OUT_rows], res[OUT_K], res[OUT_factor], res[OUT_q], res[OUT_r], weights, arg[IN_R], start,
-             below, above, arg[IN_guess], w, dX, dU, res[OUT_side], res[OUT_bounded_checks]);
+  active_set(nodes, res[OUT_rows], res[OUT_q], res[OUT_r], weights, arg[IN_R], start, below, above, arg[IN_guess], w,
+             tail, dX, dU, res[OUT_side], res[OUT_bounded_checks]);
   for (int i = 0; i < STATES; ++i) X[i] = res[OUT_X_lin][i];
   for (integer k = 1; k <= nodes; ++k) {
     real *d = dX + STATES * (k - 1), length = 0;

@@ -24,7 +24,7 @@ from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.auto.settings import BANK, DECISION
 from quadexp.plugins.remedies.delay.prediction import STEP, prediction
-from quadexp.plugins.remedies.sent_commands import INSTANT, SETTLED, SentCommands, command_weights
+from quadexp.plugins.remedies.sent_commands import SETTLED, SentCommands, command_weights
 
 
 def sent_commands(vehicle: Vehicle, period: float) -> SentCommands:
@@ -39,7 +39,6 @@ def span_weights(count: int, period: float) -> ca.Function:
     thrust at its time."""
     span = ca.MX.sym("span", 4)
     begin, end, dead_time, lag = ca.vertsplit(span)
-    begin = ca.if_else(end - begin > INSTANT, begin, end - INSTANT)
     weights = command_weights(count, period, (begin, end), dead_time, lag)
     return ca.Function("span_weights", [span], [weights[::-1]])
 

@@ -147,14 +147,14 @@ def decision_function(
     searching, last = kept["searching"], Decision(*ca.vertsplit(kept["decision"]))
 
     # a look at what is measured
-    elapsed = ca.fmax(a["count"] * bank_period - BANK.settling, 0)
-    looks, soon = kept["wait"] <= 0, elapsed < s.early
+    elapsed, rounding = ca.fmax(a["count"] * bank_period - BANK.settling, 0), s.rounding * period
+    looks, soon = kept["wait"] <= 0, elapsed + rounding < s.early
     low, high = vehicle.thrust_min, vehicle.thrust_max
     off = ca.fabs(a["commands"] - (low + high) / 2)
     saturated = ca.sum1(off > s.at_limit * (high - low) / 2) / commands
     share = looks * ca.if_else(soon, s.soonest, s.checks) / s.corners_memory
     saturates = kept["saturates"] + share * (saturated - kept["saturates"])
-    position = ca.sqrt(ca.fmax(a["noise"][1], 0)) * (elapsed > BANK.measured_after)
+    position = ca.sqrt(ca.fmax(a["noise"][1], 0)) * (elapsed > BANK.measured_after + rounding)
     enough = a["count"] >= s.few_readings
     acts_now = enough * (ca.mmax(a["acts"]) > 0)
     statistics = Statistics(position, saturated, saturates, acts_now, len(s.grids) * enough)
@@ -164,7 +164,8 @@ def decision_function(
     # the search goes on, or ends
     refined, passes = kept["rounds"] > 0, kept["passes"] + kept["rounds"]
     done = refined * ca.logic_or(ca.logic_not(a["moved"]), passes >= BANK.passes)
-    due = ca.logic_and(elapsed + period >= kept["next"], a["weights"][1] > 0)  # the search is in the next instant
+    due = elapsed + period - rounding >= kept["next"]  # the search is in the next instant
+    due = ca.logic_and(due, a["weights"][1] > 0)
     due = looks * due * ca.logic_or(ca.logic_not(searching), done)
     found = ca.if_else(done, ca.vertcat(*(a[name] for name in FOUND)), kept["found"])
     odds, at_end = (ca.if_else(refined, a[name], kept[name]) for name in ("odds", "at_end"))

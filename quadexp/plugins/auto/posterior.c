@@ -5,10 +5,14 @@
 #ifndef REAL
 #define REAL double
 #endif
+#ifndef SUM
+#define SUM REAL /* of the moments and of what is made of them: an error is the small difference of large sums */
+#endif
 #ifndef INTEGER
 #define INTEGER long long
 #endif
-typedef REAL real;
+typedef REAL number; /* of all other arguments and results */
+typedef SUM real;
 typedef INTEGER integer;
 
 enum { LATE, PROMPT, BETWEEN };
@@ -31,6 +35,7 @@ typedef struct { /* where the weights of a hypothesis begin, the first two, and 
     real h[3];
 } head;
 
+static const real *moments(const number *given) { return (const void *)given; }
 static real larger(real a, real b) { return a > b ? a : b; }
 static real smaller(real a, real b) { return a < b ? a : b; }
 static real at(const grid *g, int of, int i) { return g->low[of] + g->step[of] * (real)i; }
@@ -48,7 +53,7 @@ static void command_weights(real *h, real total, real lag, real span) {
     const real wait = larger(total - lag, 0);
     real before = 0;
     for (int j = 0; j < COMMANDS; j++) {
-        const real now = j < COMMANDS - 1 ? response(PERIOD * (real)(j + 1) - wait, larger(lag, INSTANT), span) : 1;
+        const real now = j < COMMANDS - 1 ? response(PERIOD * (real)(j + 1) - wait, larger(lag, NO_LAG), span) : 1;
         h[j] = now - before, before = now;
     }
 }
@@ -56,8 +61,8 @@ static void command_weights(real *h, real total, real lag, real span) {
 /* falls: exp(-PERIOD / lag). */
 static void lead_in(head *to, real total, real lag, real span, real falls) {
     const real wait = larger(total - lag, 0), whole = floor(wait / PERIOD), first = (whole + 1) * PERIOD - wait;
-    real before = 0, left = exp(-first / larger(lag, INSTANT));
-    to->first = (int)whole, lag = larger(lag, INSTANT);
+    real before = 0, left = exp(-first / larger(lag, NO_LAG));
+    to->first = (int)whole, lag = larger(lag, NO_LAG);
     for (int k = 0; k < 3; k++, left *= falls) {
         const real x = first + PERIOD * (real)k;
         real now = 1 - left;
@@ -96,7 +101,7 @@ static real by_commands(
     int best = 0;
     for (int l = 0; l < g->size[L]; l++) {
         if (!inside(g, L, l)) continue;
-        tail_sums(sums, M, exp(-PERIOD / larger(at(g, L, l), INSTANT)));
+        tail_sums(sums, M, exp(-PERIOD / larger(at(g, L, l), NO_LAG)));
         for (int k = count * l; k < count * (l + 1); k++) {
             if (!heads[k].possible) continue;
             const int f = heads[k].first;
@@ -205,7 +210,7 @@ static int rates_of(real age, real newer) {
     return newer < INSTANT ? LATE : fabs(age - newer) < INSTANT ? PROMPT : BETWEEN;
 }
 
-static void summary(real **res, int of, const real *share, const grid *g, real beside) {
+static void summary(number **res, int of, const real *share, const grid *g, real beside) {
     const real step = g->step[of], begins = g->low[of] - step / 2;
     real all = 0, mean = 0, spread = 0, below = 0, low = begins, high = begins;
     for (int i = 0; i < g->size[of]; i++) all += share[i], mean += share[i] * at(g, of, i);
@@ -224,7 +229,7 @@ static void summary(real **res, int of, const real *share, const grid *g, real b
 static const real NOISES[] = VELOCITY_NOISES, AGAINST[] = RATES_ODDS;
 static const real STEPS[] = {AGE_STEP, TOTAL_STEP, LAG_STEP, AGE_STEP}, LARGEST[] = {LARGEST_AGE, (LARGEST_DEAD_TIME + LARGEST_LAG), LARGEST_LAG, LARGEST_AGE};
 
-static void posterior(const real **arg, const real *centre, real **res, int fine) {
+static void posterior(const number **arg, const number *centre, number **res, int fine) {
     const int whole = fine == 1;
     grid g;
     for (int i = 0; i < 4; i++) {
@@ -241,7 +246,7 @@ static void posterior(const real **arg, const real *centre, real **res, int fine
     real of_total[MOST], of_gyro[MOST], other[MOST];
     const real seen = larger(arg[WEIGHTS][0], 1);
     real falls[SIDE];
-    for (int l = 0; l < n_l; l++) falls[l] = exp(-PERIOD / larger(at(&g, L, l), INSTANT));
+    for (int l = 0; l < n_l; l++) falls[l] = exp(-PERIOD / larger(at(&g, L, l), NO_LAG));
     const channel thrust = {g.low[D], g.step[D], 0, SPAN_FORCE, SCALE_DEVIATION, seen, n_D};
     for (int l = 0; l < n_l; l++)
         for (int k = 0; k < n_D; k++) {
@@ -252,7 +257,7 @@ static void posterior(const real **arg, const real *centre, real **res, int fine
             if (one->possible) lead_in(one, total, lag, SPAN_FORCE, falls[l]);
         }
     real worth, most_of_gyro = 0;
-    (void)by_commands(of_total, &worth, heads, arg[THRUST], &thrust, &g);
+    (void)by_commands(of_total, &worth, heads, moments(arg[THRUST]), &thrust, &g);
     logarithms(of_total, heads, worth, n_D * n_l);
     for (int k = 0; k < n_D * n_l; k++) {
         const real total = at(&g, D, k % n_D), ways = smaller(total, LARGEST_LAG) - larger(total - LARGEST_DEAD_TIME, 0);
@@ -271,7 +276,7 @@ static void posterior(const real **arg, const real *centre, real **res, int fine
     int models[2] = {0, 0};
     for (int i = whole ? 0 : (int)arg[MODELS][0], begins = 1; i < GYROS; i++, begins = 0) {
         real of_other;
-        const real found = by_commands(other, &of_other, heads, arg[GYRO] + BLOCK * BLOCK * i, &gyro, &g);
+        const real found = by_commands(other, &of_other, heads, moments(arg[GYRO]) + BLOCK * BLOCK * i, &gyro, &g);
         if (begins || found > most_of_gyro) {
             models[0] = i, most_of_gyro = found, worth = of_other;
             for (int k = 0; k < times * n_l; k++) of_gyro[k] = other[k];
@@ -294,15 +299,15 @@ static void posterior(const real **arg, const real *centre, real **res, int fine
     const real reading = PERIOD * sqrt(arg[LATERAL][0]);
     real of_age[SIDE], of_newer[SIDE], p[SIDE][SIDE];
     for (int i = whole ? 0 : (int)arg[MODELS][1], begins = 1; i < VELOCITIES; i++, begins = 0) {
-        const real *M = arg[VELOCITY] + 4 * COLUMNS * COLUMNS * i;
+        const real *M = moments(arg[VELOCITY]) + 4 * COLUMNS * COLUMNS * i;
         by_readings(
             other, M, &g, A, SPAN_FORCE, 2 * larger(arg[WEIGHTS][1], 1), BIAS_DEVIATION, reading, NOISES[i]);
         if (likelier(of_age, other, n_a, begins)) models[1] = i;
         if (!whole) break;
     }
     by_readings(
-        of_newer, arg[ATTITUDE], &g, R, SPAN_RATE, 3 * larger(arg[WEIGHTS][2], 1), RATE_BIAS_DEVIATION, TURN_NOISE,
-        ATTITUDE_NOISE);
+        of_newer, moments(arg[ATTITUDE]), &g, R, SPAN_RATE, 3 * larger(arg[WEIGHTS][2], 1), RATE_BIAS_DEVIATION,
+        TURN_NOISE, ATTITUDE_NOISE);
     real best = -2 * NEVER, ageless = -NEVER, prompt = -NEVER;
     int a_best = 0, r_best = 0, old_of[SIDE][SIDE];
     for (int r = 0; r < n_r; r++)
@@ -357,15 +362,15 @@ static void posterior(const real **arg, const real *centre, real **res, int fine
     *res[NEWER] = rates_of(res[MODE][A], res[MODE][R]) == PROMPT ? res[MEAN][A] : res[MODE][R];
 }
 
-int coarse(const real **arg, real **res, integer *iw, real *w, int memory) {
+int coarse(const number **arg, number **res, integer *iw, number *w, int memory) {
     (void)iw, (void)w, (void)memory;
     posterior(arg, arg[CENTRE], res, 1);
     return 0;
 }
 
-int fine(const real **arg, real **res, integer *iw, real *w, int memory) {
+int fine(const number **arg, number **res, integer *iw, number *w, int memory) {
     (void)iw, (void)w, (void)memory;
-    real centre[4];
+    number centre[4];
     for (int i = 0; i < 4; i++) centre[i] = arg[CENTRE][i];
     for (int k = 0; k == 0 || (k < *arg[ROUNDS] && *res[MOVED]); k++) {
         if (k)

@@ -31,7 +31,7 @@ from quadexp.physics.expression import named_function
 from quadexp.plugins.auto.bank import AXES, GYROS, Bank, first_order_gain
 from quadexp.plugins.auto.responses import command_weights, reading_weights
 from quadexp.plugins.auto.settings import BANK, NEVER, QUANTILES
-from quadexp.plugins.remedies.sent_commands import INSTANT
+from quadexp.plugins.remedies.sent_commands import INSTANT, NO_LAG
 
 SOURCE = Path(__file__).with_name("posterior.c")
 LATE, PROMPT, BETWEEN = range(3)
@@ -253,11 +253,11 @@ def kernel_source(bank: Bank) -> str:
         "MOST": times * max(whole[2], steps),
     }
     numbers = {name.upper(): value for name, value in vars(BANK).items() if isinstance(value, float)}
-    numbers |= {"PERIOD": bank.period, "INSTANT": INSTANT, "NEVER": NEVER}
+    numbers |= {"PERIOD": bank.period, "INSTANT": INSTANT, "NO_LAG": NO_LAG, "NEVER": NEVER}
     numbers["SPAN_FORCE"], numbers["SPAN_RATE"] = bank.spans
     numbers["TURN_NOISE"], numbers["ATTITUDE_NOISE"] = bank.turn_noise
     lines = [f"enum {{ {name} = {count} }};" for name, count in counts.items()]
-    lines += [f"#define {name} ((REAL){value!r})" for name, value in numbers.items()]
+    lines += [f"#define {name} ((SUM){value!r})" for name, value in numbers.items()]
     for name, values in {"VELOCITY_NOISES": BANK.velocity_models, "RATES_ODDS": BANK.rates_odds}.items():
         lines.append(f"#define {name} {{{', '.join(map(repr, values))}}}")
     return "\n".join([*lines, SOURCE.read_text(encoding="utf-8")])

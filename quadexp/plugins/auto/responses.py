@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from quadexp.plugins.remedies.sent_commands import INSTANT
+from quadexp.plugins.remedies.sent_commands import INSTANT, NO_LAG
 
 
 def step_response(x: np.ndarray, lag: np.ndarray, span: float) -> np.ndarray:
@@ -34,7 +34,7 @@ def command_weights(period: float, count: int, total: np.ndarray, lag: np.ndarra
     """Weights (k, count) of totals = dead time + lag, (k,), and lags, (k,) (s), of the mean over `span` (s)."""
     wait = np.maximum(total - lag, 0)
     elapsed = period * np.arange(1, count) - wait[:, None]
-    response = step_response(elapsed, np.maximum(lag, INSTANT)[:, None], span)
+    response = step_response(elapsed, np.maximum(lag, NO_LAG)[:, None], span)
     return np.diff(response, axis=1, prepend=0, append=1)
 
 

@@ -135,6 +135,7 @@ class DecisionSettings:
     latest: float = 0.5  # s, and at most
     checks: float = 0.1  # s, between looks at saturation
     begins: float = 0.02  # s, of evidence for the first posterior
+    rounding: float = 0.01  # of a control period, by which times may be off in single precision after 1000 s
     early: float = 0.6  # s, of looks every `soonest`: a push or a late pose is found by then
     few_readings: float = 4.0  # of the bank: fewer fit any delay by chance, and the softest grid flies
     age_odds: float = 5.0  # log Bayes factor against no age: very strong (Kass & Raftery 1995)

@@ -28,7 +28,7 @@ from quadexp.physics.expression import named_function, named_symbols, symbols
 from quadexp.physics.vehicle import Vehicle
 
 SETTLED = 6.0  # time constants, after which nothing of a lag is left
-INSTANT = 1e-9  # s, a span that counts as an instant
+INSTANT = 1e-6  # s, a span that counts as an instant: more than the rounding of times in single precision
 NO_LAG = 1e-18  # s
 
 
@@ -102,7 +102,7 @@ class SentCommands:
             self._weigh[len(spans)] = BufferedFunction(weights_function(len(self.values), self._period, len(spans)))
         function = self._weigh[len(spans)]
         arguments, weights = function.arguments, function.results["weights"]
-        arguments["spans"][...] = np.where(np.diff(spans) > INSTANT, spans, spans[:, 1:] + [-INSTANT, 0.0])
+        arguments["spans"][...] = spans
         arguments["delays"][...] = dead_time, lag
         function()
         return weights.reshape(len(spans), -1)[:, ::-1].copy()
@@ -110,7 +110,7 @@ class SentCommands:
 
 def command_weights(count: int, period: float, span: Any, dead_time: Any, lag: Any) -> Any:
     """Weights (m,) on m = count commands, a control period (s) apart, the newest first, of the mean thrust over a span
-    (begin, end) (s); symbols."""
+    (begin, end) (s), or of the thrust at its end where that is an instant; symbols."""
     acts = dead_time - period * ca.DM(np.arange(1.0, count + 1))  # s_j
     tau = ca.fmax(lag, NO_LAG)
 
@@ -119,7 +119,10 @@ def command_weights(count: int, period: float, span: Any, dead_time: Any, lag: A
         x = ca.fmax(x, 0)
         return x + tau * ca.expm1(-x / tau)
 
-    passed = (integral(span[1] - acts) - integral(span[0] - acts)) / (span[1] - span[0])
+    begin, end = span
+    mean = (integral(end - acts) - integral(begin - acts)) / (end - begin)
+    at_end = -ca.expm1(-ca.fmax(end - INSTANT - acts, 0) / tau)
+    passed = ca.if_else(end - begin > INSTANT, mean, at_end)
     passed = ca.vertcat(passed[:-1], 1)
     return passed - ca.vertcat(0, passed[:-1])
 

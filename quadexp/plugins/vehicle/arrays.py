@@ -1,7 +1,8 @@
-"""The arrays that a controller's calls work on, as places in three C arrays.
+"""The arrays that a controller's calls work on, as places in four C arrays.
 
     numbers   what may be changed in flight: parameters of the model of the air, weights, limits, an observer's settings
     ram       what a call writes
+    sums      what is summed up over a flight, in double precision always
     rom       all else
 
 Arrays of Python that overlap become one block, so that aliases stay aliases. A block keeps its bytes in the order of
@@ -29,6 +30,7 @@ class Block:
     written: bool = False
     cleared: bool = False
     changed: bool = False
+    summed: bool = False
     place: tuple[str, int] = ("", 0)
 
     @property
@@ -61,17 +63,23 @@ class Arrays:
     lent: dict[int, tuple[str, int]] = field(default_factory=dict)  # address of an array -> its place elsewhere
 
     def add(
-        self, array: np.ndarray | None, *, written: bool = False, cleared: bool = False, changed: bool = False
+        self,
+        array: np.ndarray | None,
+        *,
+        written: bool = False,
+        cleared: bool = False,
+        changed: bool = False,
+        summed: bool = False,
     ) -> None:
         """An array that calls read. written: and write. cleared: what it holds now is not needed. changed: a user
-        may change it, where no call writes it."""
+        may change it, where no call writes it. summed: over a flight."""
         if array is None or not array.size:
             return
         if array.dtype != float:
             raise ValueError(f"an array of {array.dtype} is no memory of a controller")
         self.kept.append(array)
         first, end = span(array)
-        self.found.append(Block(first, end, len(self.found), written, cleared, changed))
+        self.found.append(Block(first, end, len(self.found), written, cleared, changed, summed))
 
     def add_all(self, arrays: Iterable[np.ndarray], *, written: bool = False, cleared: bool = False) -> None:
         """Several."""
@@ -91,13 +99,16 @@ class Arrays:
             last.written |= part.written
             last.cleared |= part.cleared
             last.changed |= part.changed
-        ends = {"numbers": 0, "ram": 0, "rom": 0}
+            last.summed |= part.summed
+        ends = {"numbers": 0, "ram": 0, "sums": 0, "rom": 0}
         for block in sorted(self.blocks, key=self._rank):
             name = self._array_of(block)
             block.place = name, ends[name]
             ends[name] += block.count
 
     def _array_of(self, block: Block) -> str:
+        if block.summed:
+            return "sums"
         if block.written:
             return "ram"
         return "numbers" if block.changed else "rom"
@@ -124,4 +135,4 @@ class Arrays:
         if array is None or not array.size:
             return "0"
         name, begins = self.place(array)
-        return f"{name} + {begins}"
+        return f"(void *)(sums + {begins})" if name == "sums" else f"{name} + {begins}"

@@ -30,7 +30,7 @@ from quadexp.names import sha256_of
 from quadexp.parts.compose import compose
 from quadexp.parts.options import Folders
 from quadexp.parts.schema import Config, remedies
-from quadexp.plugins.vehicle import generate
+from quadexp.plugins.vehicle import generate, tables, texts
 from quadexp.plugins.vehicle.record import OF_LOOP, Recorder, compiled_period, recorded
 from quadexp.plugins.vehicle.start import check_start, start_function
 from quadexp.provenance import versions
@@ -40,7 +40,6 @@ MANIFEST = "model.json"
 FORMAT = 3  # of the folder
 REPLAY = {"double": 1e-9, "float": 0.02}  # N, of a step on recorded inputs
 PATHS = {"double": 1e-9, "float": 1.0}  # m, between the path of the bench and that of C
-SUMMED = 1e-8  # m, likewise of one that decides by sums over a flight, whose rounding it amplifies: 2.9e-9 was seen
 ERRORS = {"double": 1e-6, "float": 0.01}  # share of the mean tracking error
 
 
@@ -67,8 +66,6 @@ def export_controller(
         check_remedies(config, vehicle, plant)
         controller = build_controller(config, vehicle, plant, find_model(config))
         refuse_python(controller, config)
-        if real == "float" and sums_of(controller):
-            raise UsageError("--real float: sums over a flight, as of remedies=auto, need --real double")
         reference = SampledReference(build_trajectory(config.trajectory, vehicle), controller)
         flight = recorded(controller, plant, reference, generator(config, flight_record(config)))
         files = folder_of(config, controller, plant, reference, flight, generate.Names(prefix, real))
@@ -78,11 +75,6 @@ def export_controller(
     for name in stale:
         (path / name).unlink(missing_ok=True)
     return {"path": str(path), "files": {name: len(content) for name, content in files.items()}}
-
-
-def sums_of(controller: Any) -> bool:
-    """Whether it decides by sums over a flight: single precision leaves nothing of their small differences."""
-    return any(call.kind == "gather" for call in controller.running.control_step.calls)
 
 
 def manifest_names(file: Path) -> set[str]:
@@ -124,21 +116,21 @@ def folder_of(
     functions = [function for _, function in generate.functions_of(exported).values()]
     functions += [start[0]] if start[0] is not None else []
     files: dict[str, str | bytes] = {
-        "controller.h": generate.controller_h(exported, about, len(reference)),
-        "controller.c": generate.controller_c(exported),
+        "controller.h": texts.controller_h(exported, about, len(reference)),
+        "controller.c": tables.controller_c(exported),
         "model.c": generate.model_c(exported, functions),
         "real.h": generate.real_h(names),
-        "table.c": generate.table_c(exported, reference),
+        "table.c": texts.table_c(exported, reference),
     }
-    texts = [generate.HERE / name for name in ("vehicle.c", "reference.c", "check.c")]
-    texts += generate.KERNELS[:1]
+    copies = [generate.HERE / name for name in ("vehicle.c", "reference.c", "check.c")]
+    copies += generate.KERNELS[:1]
     if exported.plan is not None:
         files |= {"mpc.c": generate.mpc_c(exported), "node.c": generate.node_c(exported)}
-        texts += generate.KERNELS[1:]
-    files |= {text.name: text.read_text(encoding="utf-8") for text in texts}
+        copies += generate.KERNELS[1:]
+    files |= {text.name: text.read_text(encoding="utf-8") for text in copies}
     files |= checked_files(exported, controller, plant, reference, flight)
-    files |= build_files(exported, list(files))
-    files["README.md"] = readme(exported, about, flight, files)
+    files |= texts.build_files(exported, files)
+    files["README.md"] = texts.readme(exported, about, len(flight.rows))
     files |= manifest(config, controller, names, files)
     return files
 
@@ -175,8 +167,7 @@ def checked_files(
         flown = np.array([reference.at(0)[0][:3], *flight.positions])[:steps]
         error = float(np.linalg.norm(flown - along, axis=1).mean())
         rows += plant_lines(function, period.arguments, plant, len(flight.first))
-        limit = max(PATHS[names.real], SUMMED * sums_of(controller))
-        rows += [f"#define PATH_LIMIT {limit!r} /* m */", f"#define ERROR_SHARE {ERRORS[names.real]!r}"]
+        rows += [f"#define PATH_LIMIT {PATHS[names.real]!r} /* m */", f"#define ERROR_SHARE {ERRORS[names.real]!r}"]
         rows += [f"#define MEAN_ERROR {error!r} /* m */"]
         parts = [reference.at(0)[0], flight.first]
         for context, position in zip(flight.contexts, flight.positions, strict=True):
@@ -228,39 +219,6 @@ def description(config: Config, controller: Any, names: generate.Names) -> list[
         f"vehicle={config.vehicle.name} ({fingerprint}), {1 / controller.control_period:g} Hz, {names.real}",
         f"checked on trajectory={config.trajectory.name} plant={config.plant.name} world={config.world}",
     ]
-
-
-def build_files(exported: generate.Program, files: Sequence[str]) -> dict[str, str]:
-    """Makefile and CMakeLists.txt."""
-    sources = [name for name in ("controller.c", "model.c", "mpc.c", "node.c", "table.c") if name in files]
-    plant = "plant.c" if "plant.c" in files else ""
-    texts = {
-        name: (generate.HERE / f"{name}.in").read_text(encoding="utf-8") for name in ("Makefile", "CMakeLists.txt")
-    }
-    values = {"@SOURCES@": " ".join(sources), "@PLANT@": plant, "@NAME@": exported.names.prefix}
-    for name in texts:
-        for key, value in values.items():
-            texts[name] = texts[name].replace(key, value)
-    return texts
-
-
-def readme(exported: generate.Program, about: Sequence[str], flight: Recorder, files: Mapping[str, Any]) -> str:
-    """What the folder is, how it is used, and its limits."""
-    text = (generate.HERE / "README.md.in").read_text(encoding="utf-8")
-    bytes_of = 8 if exported.names.real == "double" else 4
-    sizes = {name: len(exported.arrays.contents(name)) for name in ("ram", "numbers", "rom")}
-    values = {
-        "@ABOUT@": "\n".join(f"    {line}" for line in about),
-        "@PREFIX@": exported.names.prefix,
-        "@UPPER@": exported.names.upper,
-        "@PERIOD@": f"{exported.controller.control_period:g}",
-        "@SIZES@": ", ".join(f"{name} {bytes_of * size / 1000:.1f} kB" for name, size in sizes.items()),
-        "@STEPS@": str(len(flight.rows)),
-        "@CHANGEABLE@": ", ".join(name for name, _ in generate.changeable(exported)) or "nothing",
-    }
-    for key, value in values.items():
-        text = text.replace(key, value)
-    return text
 
 
 def manifest(

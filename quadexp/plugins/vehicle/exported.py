@@ -27,8 +27,8 @@ from quadexp.parts.settings import keyed
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.vehicle.export import FORMAT, MANIFEST
 from quadexp.plugins.vehicle.record import packed
+from quadexp.plugins.vehicle.texts import SOURCES
 
-SOURCES = ("controller.c", "model.c", "mpc.c", "node.c", "table.c")
 FLAGS = ("-std=c11", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
 OK = 0  # what reset and step answer
 

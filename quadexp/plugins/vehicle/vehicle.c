@@ -2,7 +2,7 @@
    loop.c leaves to Python on the bench is here: readings that are no numbers, the first solution of the MPC, a reference
    that is far away, a step that has no answer. Freestanding C11: no allocation, of libraries only math.h.
 
-   Declared before: ROTORS, ROWS, IMAGE, ROUND, ram, image, calls, the_loop, hover, thrust_min, thrust_max, start,
+   Declared before: ROTORS, ROWS, IMAGE, ROUND, SUMS, ram, sums, image, calls, the_loop, hover, thrust_min, thrust_max, start,
    command_now; without NO_PLAN the_plan, the_shift, the_period, NODES, SAMPLES, FULL_STEPS. */
 #ifdef __FAST_MATH__
 #error "compile this file without -ffast-math: what is not a number must be seen"
@@ -129,6 +129,7 @@ int QX(reset)(const real state[BODY], const window *w) {
     if (!of_numbers(&r, ROTORS)) return REFUSED;
     for (integer i = 0; i < ROTORS; i++) last[i] = clipped(ROWS > 1 ? r.inputs[i] : hover[i]);
     for (integer i = 0; i < RAM; i++) ram[i] = i < IMAGE ? image[i] : 0;
+    for (integer i = 0; i < SUMS; i++) sums[i] = 0;
     start(state, last);
     for (integer i = 0; i < the_loop.calls_size; i++) {
         const step_call *o = calls + i;

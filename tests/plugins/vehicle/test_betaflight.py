@@ -146,6 +146,13 @@ def test_a_radio_that_is_slower_than_the_loop_tolerates_is_refused(tmp_path: Pat
         through(loop)
 
 
+def test_a_law_that_is_too_quick_for_the_firmware_is_refused(tmp_path: Path) -> None:
+    loop = build_loop(compose(("controller=geometric", *PRECISE[2:])), None)
+    through = Through(Path("/nonexistent"), tmp_path, Radio(rates="inverse=25,25,10"))  # refused before it is started
+    with pytest.raises(InfeasibleError, match="50 ms late.* tolerates 47 ms: raise controller.rate"):
+        through(loop)
+
+
 def test_a_law_without_a_prediction_is_refused() -> None:
     with pytest.raises(UsageError, match="predicts no body rates"):
         fly_betaflight(("controller=geometric", *PRECISE[2:]), None, Radio(), Path("/bin/true"))
@@ -229,10 +236,15 @@ def test_a_late_radio_that_is_not_given_is_found(firmware: Path, grid: tuple[str
     assert error(flown(PRECISE[0], *grid, *PRECISE[2:], *LATE, "remedies=auto")) < 5
 
 
-def test_a_law_flies_by_the_rates_that_give_its_torque(firmware: Path) -> None:
-    law = ("controller=dfbc", "controller.rate=250", *PRECISE[2:])
+@pytest.mark.parametrize(
+    "controller", [("controller=dfbc",), ("controller=geometric", "controller.attitude_bandwidth=[14,14,2]")]
+)
+def test_a_law_flies_by_the_rates_that_give_its_torque(firmware: Path, controller: tuple[str, ...]) -> None:
+    law = (*controller, "controller.rate=250", *PRECISE[2:])
     bench = error(requests.simulate(law).flight)
-    assert error(flown(*law, rates="inverse=25,25,10")) == pytest.approx(bench, rel=0.1)
+    first, again = (flown(*law, rates="inverse=25,25,10") for _ in range(2))
+    assert error(first) == pytest.approx(bench, rel=0.1)
+    assert np.array_equal(first["p_x"], again["p_x"])
 
 
 def test_a_coarse_and_a_slow_radio_are_flown(firmware: Path) -> None:

@@ -33,7 +33,7 @@ from quadexp.physics.rigid_body import corrected_function
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.remedies.delay.strapdown import KnownDelay
-from quadexp.plugins.remedies.sent_commands import INSTANT, SETTLED, weights_function
+from quadexp.plugins.remedies.sent_commands import SETTLED, weights_function
 
 STEP = 0.02  # s, of the integration
 
@@ -116,8 +116,7 @@ class Prediction(KnownDelay):
         """How long each part of the time acts (parts,), and the weights of commands in it (m parts,)."""
         before = ca.DM(np.arange(parts - 1, -1, -1) * STEP)  # from the end of the prediction
         ends, starts = (ca.fmin(limit, late + about.ahead) - about.ahead for limit in (before, before + STEP))
-        begins = ca.if_else(starts - ends > INSTANT, -starts, -ends - INSTANT)
-        spans = ca.horzcat(begins, -ends).T
+        spans = ca.horzcat(-starts, -ends).T
         weights = weights_function(self._count(about), about.period, parts)(spans, [about.dead_time, about.lag])
         return ca.vertcat(starts - ends, ca.vec(weights[::-1, :]))
 

@@ -122,11 +122,18 @@ class Through:
         held = max(sent - period, 0.0) / 2  # s, in the mean, beyond the hold of a command
         margins = dict(loop.margins)
         if "delay" in margins:
+            tolerated = 1e3 * margins["delay"]  # ms
             margins["delay"] = max(margins["delay"] - held, 0.0)
             if held and not margins["delay"]:
                 raise InfeasibleError(
                     f"--rc-rate {self.radio.rate:g}: pulses act {1e3 * held:.0f} ms later than commands; the loop"
-                    f" tolerates {1e3 * loop.margins['delay']:.0f} ms"
+                    f" tolerates {tolerated:.0f} ms"
+                )
+            late = self.radio.ahead + period
+            if self.radio.rates != "predicted" and margins["delay"] < late:  # a prediction is sent that much earlier
+                raise InfeasibleError(
+                    f"--rates {self.radio.rates}: its torque comes {1e3 * late:.0f} ms late, by --ahead and a control"
+                    f" period; the loop tolerates {tolerated:.0f} ms: raise controller.rate, or lower its bandwidths"
                 )
         rates = rates_of(self.radio.rates, loop.controller, self.radio.ahead)
         order, turning = rotor_order(loop.vehicle)
