@@ -26,7 +26,7 @@ from quadexp.plugins.check.candidates import KEYS, READINGS, Candidate, flow
 from quadexp.plugins.check.columns import Match, Table
 from quadexp.plugins.check.search import MARGIN, PER_COST, agreement, explain
 from quadexp.plugins.logs.column_names import groups, numbered_quaternion, unit_of
-from quadexp.plugins.logs.importers.mapping import QUANTITIES
+from quadexp.plugins.logs.importers.quantities import QUANTITIES
 from quadexp.plugins.logs.importers.readers import reader_of
 from quadexp.plugins.logs.importers.table import numbers, open_table
 from quadexp.plugins.logs.signal.windows import RELATIONS, Windows, changes, pairs

@@ -31,6 +31,7 @@ ELECTRICAL = "erpm"  # turns of the motor's field: pole pairs times those of the
 # Axes of a frame in ENU or FLU, as the log's components: "y x -z" says ENU = (log y, log x, -log z).
 WORLD_FRAMES = {"enu": "x y z", "nwu": "-y x z", "ned": "y x -z", "nue": "z x y", "eus": "x -z y"}
 BODY_FRAMES = {"flu": "x y z", "frd": "x -y -z", "rfu": "y -x z", "rdf": "z -x -y", "luf": "z x y"}
+FRAMES = dict.fromkeys(WORLD_FRAMES, "world") | dict.fromkeys(BODY_FRAMES, "body")  # name -> of what
 _AXIS = re.compile(r"([+-]?)([xyz])")
 
 

@@ -15,7 +15,8 @@ from quadexp.physics.rotation import continuous
 from quadexp.physics.state import norms
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.logs.importers.ground import LEAST_ROWS, without_ground
-from quadexp.plugins.logs.importers.mapping import PLACES, ROTORS, Crop, columns_of
+from quadexp.plugins.logs.importers.mapping import Crop
+from quadexp.plugins.logs.importers.quantities import PLACES, ROTORS, columns_of
 from quadexp.plugins.logs.importers.raw import RawLog
 from quadexp.plugins.logs.signal import GAP_PERIODS, Stream, derivative
 from quadexp.plugins.logs.signal.resample import resample

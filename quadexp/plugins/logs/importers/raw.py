@@ -21,9 +21,11 @@ from quadexp.errors import DataError
 from quadexp.physics.state import finite_rows, norms
 from quadexp.physics.vehicle import GRAVITY
 from quadexp.plugins.logs.importers.mapping import IN_BODY, Crop, Entry, Mapping
+from quadexp.plugins.logs.importers.quantities import QUANTITIES
 from quadexp.plugins.logs.importers.table import Table
 from quadexp.plugins.logs.signal import Stream, increasing
 from quadexp.plugins.logs.signal.windows import rotations
+from quadexp.plugins.logs.units import mounting_matrix
 
 MOST_LATE = 0.01  # share of the rows that may lie out of order
 MEASURED = ("position", "attitude", "velocity", "rate", "acceleration")
@@ -110,20 +112,14 @@ def read_mapped(table: Table, mapping: Mapping) -> RawLog:
     log = RawLog(mapping.format, {}, mapping.name, mapping.layout, mapping.crop, notes)
     if not len(columns[mapping.clock.column]):
         raise DataError(f"{table.path}: holds no rows")
-    for i, (name, entry) in enumerate(mapping.entries.items()):
+    for name, entry in mapping.entries.items():
         clock = entry.clock or mapping.clock
-        t = columns[clock.column]
-        if clock.factor != 1.0:
-            t = t * clock.factor
         values = np.column_stack([columns[column] for column in entry.columns])
-        stream = clean_stream(table.path, f"{name} ({', '.join(entry.columns)})", t, values, notes)
+        where = f"{name} ({', '.join(entry.columns)})"
+        stream = clean_stream(table.path, where, columns[clock.column] * clock.factor, values, notes)
         if name in MEASURED:
             stream = without_repeats(name, stream, notes)
         log.streams[name] = _convert(name, entry, stream)
-        later = {mapping.clock.column}
-        for other in list(mapping.entries.values())[i + 1 :]:
-            later |= {*other.columns, *([other.clock.column] if other.clock else [])}
-        columns = {key: value for key, value in columns.items() if key in later}  # a long log fits in memory once
     log.streams = _turned_to_frame(log.streams, mapping.entries)
     for correction in mapping.corrections:
         log.streams = corrected(log.streams, correction)
@@ -132,49 +128,42 @@ def read_mapped(table: Table, mapping: Mapping) -> RawLog:
 
 def corrected(streams: dict[str, Stream], correction: Mapping) -> dict[str, Stream]:
     """Streams in SI, ENU and FLU, mended by lines of a mapping of which they are the log."""
-    factor, moved = correction.clock.factor, {}
+    moved = {}
     for name, (t, values) in streams.items():
-        moved[name] = _convert(name, correction.entries[name], Stream(t if factor == 1.0 else t * factor, values))
+        moved[name] = _convert(name, correction.entries[name], Stream(t * correction.clock.factor, values))
     return _turned_to_frame(moved, correction.entries)
 
 
 def _convert(name: str, entry: Entry, stream: Stream) -> Stream:
     """One stream in SI; vectors in ENU or FLU, whichever the entry says."""
-    values = stream.values
+    t, values = stream
+    values = values * entry.factor
     if name.endswith("attitude"):
-        return Stream(stream.t, _attitude(entry, values))
-    if not (entry.factor == 1.0).all():
-        values = values * entry.factor
-    if name == "motor_command" and (entry.low, entry.high) != (0.0, 1.0):
-        values = (values - entry.low) / (entry.high - entry.low)
-    if values.shape[1] == 3 and not (entry.axes == np.eye(3)).all():
-        values = values @ entry.axes.T
-    if not (entry.mounting == np.eye(3)).all():
-        values = values @ entry.mounting.T
-    if entry.offset.any():
-        values = values - entry.offset
-    return Stream(stream.t, values)
+        return Stream(t, _attitude(entry, values))
+    low, high = entry.range
+    values = (values - low) / (high - low)
+    if QUANTITIES[name].is_vector:
+        values = values @ entry.axes.T @ mounting_matrix(entry.mounting).T - entry.offset
+    return Stream(t, values)
 
 
 def _attitude(entry: Entry, values: np.ndarray) -> np.ndarray:
-    """Quaternion FLU to ENU, (k, 4), w first; as logged where nothing has to be turned."""
+    """Quaternion FLU to ENU, (k, 4), w first, of one as logged, or of roll, pitch and yaw (k, 3) (rad)."""
     if entry.order == "rpy":
-        roll, pitch, yaw = (values * entry.factor).T
-        q = Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll])).as_quat(scalar_first=True)
+        q = Rotation.from_euler("ZYX", values[:, ::-1]).as_quat(scalar_first=True)
     else:
-        values = values if (entry.factor == 1.0).all() else values * entry.factor
-        q = values if entry.order == "wxyz" else values[:, [entry.order.index(axis) for axis in "wxyz"]]
-    if entry.inverse:
+        q = values[:, [entry.order.index(axis) for axis in "wxyz"]]
+    if entry.direction == "world_to_body":
         q = q * np.array([1.0, -1.0, -1.0, -1.0])
     q = turn_attitude(q, entry.world, entry.axes)
     if min(entry.angles) < 0:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # nose straight up: yaw and roll are one angle
-            yaw, pitch, roll = Rotation.from_quat(q, scalar_first=True).as_euler("ZYX").T
-        angles = np.column_stack([yaw, pitch, roll]) * np.array(entry.angles[::-1])
-        q = Rotation.from_euler("ZYX", angles).as_quat(scalar_first=True)
+            angles = Rotation.from_quat(q, scalar_first=True).as_euler("ZYX")
+        q = Rotation.from_euler("ZYX", angles * entry.angles[::-1]).as_quat(scalar_first=True)
     if entry.turn:
-        q = norms(q)[:, None] * (Rotation.from_euler("z", entry.turn) * rotations(q)).as_quat(scalar_first=True)
+        turned = Rotation.from_euler("z", entry.turn, degrees=True) * rotations(q)
+        q = norms(q)[:, None] * turned.as_quat(scalar_first=True)
     return q
 
 
@@ -196,17 +185,16 @@ def _turned_to_frame(streams: dict[str, Stream], entries: dict[str, Entry]) -> d
     specific force."""
     turned = dict(streams)
     for name, entry in entries.items():
-        to_world, to_body = name == "velocity" and entry.in_body, name in IN_BODY and not entry.in_body
-        if not (to_world or to_body or entry.coordinate):
+        to_world = name == "velocity" and entry.in_body
+        to_body = name in IN_BODY and not entry.in_body
+        if not (to_world or to_body or entry.is_motion):
             continue
         (t, values), R = with_attitude(streams, name)
-        gravity = np.array([0.0, 0.0, GRAVITY if entry.coordinate else 0.0])
-        if to_world:
-            turned[name] = Stream(t, R.apply(values))
-        elif to_body:
-            turned[name] = Stream(t, R.apply(values + gravity, inverse=True))
-        else:
-            turned[name] = Stream(t, values + R.apply(gravity, inverse=True))
+        if to_world or to_body:
+            values = R.apply(values, inverse=to_body)
+        if entry.is_motion:
+            values = values + R.apply([0.0, 0.0, GRAVITY], inverse=True)
+        turned[name] = Stream(t, values)
     return turned
 
 

@@ -11,7 +11,8 @@ import numpy as np
 from quadexp.errors import DataError
 from quadexp.log.schema import describe
 from quadexp.parts.schema import conf_folder
-from quadexp.plugins.logs.importers.mapping import QUANTITIES, ROTORS, Mapping, columns_of, load_mapping
+from quadexp.plugins.logs.importers.mapping import Mapping, load_mapping
+from quadexp.plugins.logs.importers.quantities import QUANTITIES, ROTORS, columns_of
 from quadexp.plugins.logs.importers.raw import RawLog, clean_stream, read_mapped
 from quadexp.plugins.logs.importers.table import Table, kind_of, open_table
 
