@@ -363,7 +363,7 @@ class _Reader:
     def layout(self, name: str, value: Any, count: int) -> tuple[str, ...]:
         if not isinstance(value, list) or len(value) != count or len(set(map(str, value))) != count:
             raise self.fail(f"{name}.layout", f"must be {count} different places, one for every column")
-        return tuple(self.one_of(f"{name}.layout", place, tuple(PLACES)) for place in value)
+        return tuple(self.one_of(f"{name}.layout", place, PLACES) for place in value)
 
     def crop(self, value: Any) -> Crop:
         if value in ("auto", "none", False, None):

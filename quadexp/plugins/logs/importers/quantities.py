@@ -38,11 +38,20 @@ QUANTITIES: dict[str, Quantity] = {
     "reference_attitude": Quantity(_vector("ref_q", "wxyz"), "angle", ("order", "direction")),
 }
 ROTORS = ("motor_command", "rotor_speed", "rotor_thrust")
-# Where the places of a rotor are, as signs of x and y in FLU.
-PLACES = {
-    "front_right": (1, -1), "back_right": (-1, -1), "back_left": (-1, 1), "front_left": (1, 1),
-    "front": (1, 0), "right": (0, -1), "back": (-1, 0), "left": (0, 1),
-}  # fmt: skip
+# Where a rotor can be, front to back, then left or right.
+PLACES = ("front_right", "back_right", "back_left", "front_left", "front", "right", "back", "left")
+ON_AXIS = 0.2  # of the larger of |x| and |y|: a rotor that is no farther beside an axis lies on it
+
+
+def place_of(x: float, y: float) -> str:
+    """The name of the place of a rotor at x, y (FLU); "" in the middle."""
+    reach = ON_AXIS * max(abs(x), abs(y))
+    words = []
+    if abs(x) > reach:
+        words.append("front" if x > 0 else "back")
+    if abs(y) > reach:
+        words.append("left" if y > 0 else "right")
+    return "_".join(words)
 
 
 def columns_of(quantity: str, width: int) -> tuple[str, ...]:

@@ -198,6 +198,12 @@ def _turned_to_frame(streams: dict[str, Stream], entries: dict[str, Entry]) -> d
     return turned
 
 
+def velocity_to_world(streams: dict[str, Stream]) -> None:
+    """Turn a velocity in FLU by the attitude."""
+    stream, R = with_attitude(streams, "velocity")
+    streams["velocity"] = Stream(stream.t, R.apply(stream.values))
+
+
 def with_attitude(streams: dict[str, Stream], name: str) -> tuple[Stream, Rotation]:
     """The attitude at the times of a stream, and the stream as far as there is one."""
     stream = streams[name]

@@ -27,9 +27,8 @@ import numpy as np
 from quadexp.errors import DataError, QuadexpError, missing_package
 from quadexp.log.integrity import allowed_bytes
 from quadexp.log.store import first_line
-from quadexp.plugins.logs.importers.raw import RawLog, sorted_stream, with_attitude
+from quadexp.plugins.logs.importers.raw import RawLog, sorted_stream, velocity_to_world
 from quadexp.plugins.logs.importers.readers.ulog import TOPICS, read_topics
-from quadexp.plugins.logs.signal import Stream
 from quadexp.plugins.logs.units import UNITS
 
 MOST_MESSAGES = 20_000_000  # 5 h at 1 kHz
@@ -265,8 +264,7 @@ def _choose(path: Path, log: RawLog, recognised: _Found) -> None:
         t, values = np.array(rows.t), np.array(rows.values)
         log.streams[quantity] = sorted_stream(path, f"{quantity} ({rows.topic})", t, values, log.notes)
     if "velocity" in chosen and chosen["velocity"].in_body and "attitude" in log.streams:
-        stream, R = with_attitude(log.streams, "velocity")
-        log.streams["velocity"] = Stream(stream.t, R.apply(stream.values))
+        velocity_to_world(log.streams)
     log.about["topics"] = {quantity: rows.topic for quantity, rows in chosen.items()}
 
 
