@@ -18,7 +18,7 @@ from quadexp.plugins.logs.importers.ground import LEAST_ROWS, without_ground
 from quadexp.plugins.logs.importers.mapping import Crop
 from quadexp.plugins.logs.importers.quantities import ROTORS, columns_of, place_of
 from quadexp.plugins.logs.importers.raw import RawLog
-from quadexp.plugins.logs.signal import GAP_PERIODS, Stream, derivative
+from quadexp.plugins.logs.signal import GAP_PERIODS, Stream, derivative, numbered
 from quadexp.plugins.logs.signal.resample import resample
 from quadexp.plugins.logs.units import UNITS
 
@@ -82,9 +82,7 @@ def assemble(
     names = [name for name in (*CORE[::-1], *values) if name in values]
     for name in distinct(names):
         columns |= named(columns_of(name, values[name].shape[1]), values[name][kept].T)
-    stretch = np.cumsum(~kept)[kept]  # what was cut off begins another segment
-    _, number = np.unique(np.column_stack([segment[kept], stretch]), axis=0, return_inverse=True)
-    columns["segment"] = number.astype(np.int32)
+    columns["segment"] = numbered(segment, kept)
     cropped = [float(t[kept][i] - start) for i in (0, -1)]
     log.about |= {"rate": float(rate), "rates": rates, "cropped": cropped}
     return columns, derived

@@ -59,6 +59,12 @@ def stretches(t: np.ndarray, gap: float) -> list[slice]:
     return [slice(start, stop + 1) for start, stop in runs(np.diff(t) <= gap)]
 
 
+def numbered(segment: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Numbers, from 0 on, of the uninterrupted stretches of the rows kept, of which a segment (k,) may have several."""
+    parts = np.column_stack([segment, np.cumsum(~kept)])[kept]
+    return np.unique(parts, axis=0, return_inverse=True)[1].ravel().astype(np.int32)
+
+
 class Derivative(NamedTuple):
     """values: (k, m), the signal's unit per second. bandwidth: Hz, -3 dB."""
 

@@ -83,6 +83,11 @@ class Windows:
         """R(q), (n, 2m + 1, 3, 3); where q is zero, the identity."""
         return rotations(self.streams["q"]).as_matrix().reshape(*self.t.shape, 3, 3)
 
+    @cached_property
+    def push(self) -> np.ndarray:
+        """R f, (n, 2m + 1, 3) (m/s^2)."""
+        return np.einsum("nlij,nlj->nli", self.rotation, self.streams["f"])
+
     def every(self, step: int) -> Windows:
         """Every step-th window."""
         return Windows(self.t[::step], {name: values[::step] for name, values in self.streams.items()})
@@ -114,10 +119,10 @@ def window_samples(t: np.ndarray, good: np.ndarray, segment: np.ndarray | None =
     onward = np.isfinite(step) & (step > 0)
     dt = float(np.median(step[onward])) if onward.any() else np.inf
     half = max(2, int(round(WINDOW / dt)))
-    broken = ~(onward & (step < 3.5 * dt)) | ~good[1:] | ~good[:-1]
+    whole = onward & (step < 3.5 * dt) & good[1:] & good[:-1]
     if segment is not None:
-        broken |= np.diff(segment) != 0
-    breaks = np.concatenate([[0], np.cumsum(broken)])
+        whole &= np.diff(segment) == 0
+    breaks = np.concatenate([[0], np.cumsum(~whole)])
     first = np.arange(0, len(t) - 2 * half, half)
     first = first[breaks[first] == breaks[first + 2 * half]]
     if len(first) > MOST_WINDOWS:
@@ -127,36 +132,37 @@ def window_samples(t: np.ndarray, good: np.ndarray, segment: np.ndarray | None =
 
 def pairs(windows: Windows, touching: str = "tpqvwf") -> list[Pair]:
     """Every relation that the streams at hand allow and that has one of the streams `touching`."""
-    t, streams = windows.t, windows.streams
-    p, q, v, w, f = (streams.get(name) for name in "pqvwf")
-
-    def wanted(relation: str) -> bool:
-        return "t" in touching or bool(set(RELATIONS[relation].streams) & set(touching))
-
+    t = windows.t
+    streams = windows.streams
     known = []
-    if p is not None and v is not None and wanted("velocity"):
-        known.append(Pair("velocity", changes(t, p), means(t, v)))
-    if q is not None and w is not None and wanted("rate"):
-        known.append(Pair("rate", weighted(t, attitude_rate(t, q)), means(t, w)))
-    if f is not None and wanted("push"):
-        read = means(t, f)
-        known.append(Pair("push", np.abs(read) * UP + read * (1 - UP), read))
-    if q is None or (v is None and p is None) or not set(touching) & set("tpvqf"):
-        return known
-    push = None if f is None else np.einsum("nlij,nlj->nli", windows.rotation, f)
-    half = t.shape[1] // 2
-    if v is not None and wanted("force"):
+
+    def has(needed: str, relation: str) -> bool:
+        wanted = "t" in touching or set(RELATIONS[relation].streams) & set(touching)
+        return bool(wanted) and set(needed) <= streams.keys()
+
+    if has("pv", "velocity"):
+        known.append(Pair("velocity", changes(t, streams["p"]), means(t, streams["v"])))
+    if has("qw", "rate"):
+        known.append(Pair("rate", weighted(t, attitude_rate(t, streams["q"])), means(t, streams["w"])))
+    if has("f", "push"):
+        read = means(t, streams["f"])
+        known.append(Pair("push", np.where(UP, np.abs(read), read), read))
+    if has("vq", "force"):
         turn = np.concatenate([windows.rotation[:, (a + b) // 2] for a, b in halves(t)])
-        seen = None if push is None else means(t, push)
-        known.append(_forces("", turn, changes(t, v), seen))
-    if p is not None and wanted("force (p)"):
+        push = means(t, windows.push) if "f" in streams else None
+        known.append(_forces("", turn, changes(t, streams["v"]), push))
+    if has("pq", "force (p)"):
+        p = streams["p"]
+        half = t.shape[1] // 2
         first, second = ((t[:, b] - t[:, a])[:, None] for a, b in halves(t))
-        change = (p[:, -1] - p[:, half]) / second - (p[:, half] - p[:, 0]) / first
-        since = t - t[:, half : half + 1]
-        triangle = np.maximum(0.0, 1 - np.abs(since) / np.where(since < 0, first, second))[..., None]
         length = (first + second) / 2
-        seen = None if push is None else np.trapezoid(push * triangle, t[..., None], axis=1) / length
-        known.append(_forces(" (p)", windows.rotation[:, half], change / length, seen))
+        change = (p[:, -1] - p[:, half]) / second - (p[:, half] - p[:, 0]) / first
+        push = None
+        if "f" in streams:
+            since = t - t[:, half : half + 1]
+            triangle = np.maximum(0.0, 1 - np.abs(since) / np.where(since < 0, first, second))[..., None]
+            push = np.trapezoid(windows.push * triangle, t[..., None], axis=1) / length
+        known.append(_forces(" (p)", windows.rotation[:, half], change / length, push))
     return known
 
 
