@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from quadexp.errors import DataError
+from quadexp.log.runs import period_of
 from quadexp.physics.state import finite_rows, norms
 from quadexp.physics.vehicle import GRAVITY
 from quadexp.plugins.logs.importers.mapping import IN_BODY, Crop, Entry, Mapping
@@ -29,7 +30,8 @@ from quadexp.plugins.logs.units import mounting_matrix
 
 MOST_LATE = 0.01  # share of the rows that may lie out of order
 MEASURED = ("position", "attitude", "velocity", "rate", "acceleration")
-REGULAR, LEAST_CHANGES = 0.9, 20  # share of the changes that come evenly; changes
+REGULAR = 0.9  # share of the changes that come evenly
+LEAST_CHANGES = 20  # that tell a rate
 
 
 @dataclass
@@ -53,27 +55,29 @@ def clean_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes
 
     Raises DataError where no number is left, or the clock runs backwards.
     """
-    count, values = len(t), values.reshape(len(t), -1)
+    count = len(t)
+    values = values.reshape(count, -1)
     good = np.isfinite(t) & finite_rows(values)
     if not good.any():
         raise DataError(f"{path}: {name}: not one row of {count} is a number throughout")
     if not good.all():
         empty = count - int(good.sum())
         notes.append(f"{name}: {empty} of {count} rows ({empty / count:.1%}) are empty or not numbers")
-        t, values = t[good], values[good]
-    late = increasing(t)
-    if late.all():
+        t = t[good]
+        values = values[good]
+    onward = increasing(t)
+    lost = int((~onward).sum())
+    if not lost:
         return Stream(t, values)
-    lost, back = int((~late).sum()), np.flatnonzero(np.diff(t) < 0)
+    back = np.flatnonzero(np.diff(t) < 0)
     if len(back) and lost > max(2, MOST_LATE * len(t)):
         row = int(back[0]) + 1
         text = f"({t[row - 1]:.9g} -> {t[row]:.9g} s; {lost} of {len(t)} rows are out of order)"
         way = "sort its rows by time, or cut the log there if its clock was set anew"
         raise DataError(f"{path}: {name}: time goes backwards at row {row} {text}: {way}")
-    if lost:
-        what = "repeat a time or go back in it" if len(back) else "repeat the time of the row before"
-        notes.append(f"{name}: {lost} of {len(t)} rows ({lost / len(t):.1%}) {what}: dropped")
-    return Stream(t[late], values[late])
+    what = "repeat a time or go back in it" if len(back) else "repeat the time of the row before"
+    notes.append(f"{name}: {lost} of {len(t)} rows ({lost / len(t):.1%}) {what}: dropped")
+    return Stream(t[onward], values[onward])
 
 
 def sorted_stream(path: Path, name: str, t: np.ndarray, values: np.ndarray, notes: list[str]) -> Stream:
@@ -97,10 +101,10 @@ def without_repeats(name: str, stream: Stream, notes: list[str]) -> Stream:
     every = int(np.median(apart))
     if every < 2 or np.mean(apart == every) < REGULAR:
         return stream
-    first = np.concatenate([[0], changes])
-    since = np.arange(len(t)) - np.repeat(first, np.diff(np.append(first, len(t))))
-    kept = since % every == 0  # what stands still for longer is no gap
-    rate = 1 / (every * float(np.median(np.diff(t))))
+    rows = np.arange(len(t))
+    latest = np.concatenate([[0], changes])[np.searchsorted(changes, rows, side="right")]
+    kept = (rows - latest) % every == 0  # what stands still for longer is no gap
+    rate = 1 / (every * period_of(t))
     notes.append(f"{name}: each value stands for {every} rows: taken as a stream of {rate:.3g} Hz")
     return Stream(t[kept], values[kept])
 
@@ -169,13 +173,11 @@ def _attitude(entry: Entry, values: np.ndarray) -> np.ndarray:
 
 def turn_attitude(q: np.ndarray, world: np.ndarray, body: np.ndarray) -> np.ndarray:
     """Quaternion of W R(q) B^T, (k, 4), w first; its norm is kept, so that a wrong one stays visible."""
-    identity = np.eye(3)
-    if (world == identity).all() and (body == identity).all():
+    if (world == np.eye(3)).all() and (body == np.eye(3)).all():
         return q
     if np.linalg.det(world) < 0:  # both are left-handed: turning both the same way changes nothing else
         mirror = np.diag([1.0, 1.0, -1.0])
-        mirrored = q * np.array([1.0, -1.0, -1.0, 1.0])
-        return turn_attitude(mirrored, world @ mirror, body @ mirror)
+        return turn_attitude(q * np.array([1.0, -1.0, -1.0, 1.0]), world @ mirror, body @ mirror)
     turned = Rotation.from_matrix(world) * rotations(q) * Rotation.from_matrix(body.T)
     return norms(q)[:, None] * turned.as_quat(scalar_first=True)
 
