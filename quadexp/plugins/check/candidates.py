@@ -22,7 +22,7 @@ from quadexp.physics.state import norms
 from quadexp.plugins.logs.importers.mapping import correction
 from quadexp.plugins.logs.importers.raw import corrected
 from quadexp.plugins.logs.signal import Stream
-from quadexp.plugins.logs.signal.windows import RELATIONS, STREAMS, UP, Pair, Windows, halves, pairs
+from quadexp.plugins.logs.signal.windows import RELATIONS, STREAMS, UP, Pair, Windows, middles, pairs
 from quadexp.plugins.logs.units import UNITS, axes_matrix, axes_words
 
 COLUMNS = {"p": "p_*", "v": "v_*", "w": "w_*", "f": "acc_*", "q": "q_*", "t": "t"}
@@ -249,9 +249,7 @@ def world_acceleration(windows: Windows) -> tuple[np.ndarray, np.ndarray] | None
     if pair is None:
         return None
     half = windows.t.shape[1] // 2
-    turn = windows.rotation[:, half] if pair.name.endswith("(p)") else np.concatenate(
-        [windows.rotation[:, (a + b) // 2] for a, b in halves(windows.t)]
-    )  # fmt: skip
+    turn = windows.rotation[:, half] if pair.name.endswith("(p)") else middles(windows.rotation)
     return np.einsum("nij,nj->ni", turn, pair.expected), np.einsum("nij,nj->ni", turn, pair.measured)
 
 

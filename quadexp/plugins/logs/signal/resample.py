@@ -148,11 +148,11 @@ def interpolate(
     at = np.clip(at, t[0], t[-1])
     if held:
         return values[np.clip(np.searchsorted(t, at + 1e-9, side="right") - 1, 0, len(t) - 1)]
-    if sphere:
-        whole = norms(values) > 0  # NaN is not; what is left out here is refused elsewhere
-        if whole.sum() < 2:
-            return np.full((len(at), values.shape[1]), np.nan)
-        t, values = t[whole], values[whole]
-        at = np.clip(at, t[0], t[-1])
-        return Slerp(t, Rotation.from_quat(values, scalar_first=True))(at).as_quat(scalar_first=True)
-    return PchipInterpolator(t, values)(at)
+    if not sphere:
+        return PchipInterpolator(t, values)(at)
+    whole = norms(values) > 0  # NaN is not; what is left out here is refused elsewhere
+    if whole.sum() < 2:
+        return np.full((len(at), values.shape[1]), np.nan)
+    t = t[whole]
+    along = Slerp(t, Rotation.from_quat(values[whole], scalar_first=True))
+    return along(np.clip(at, t[0], t[-1])).as_quat(scalar_first=True)

@@ -148,21 +148,20 @@ def pairs(windows: Windows, touching: str = "tpqvwf") -> list[Pair]:
         read = means(t, streams["f"])
         known.append(Pair("push", np.where(UP, np.abs(read), read), read))
     if has("vq", "force"):
-        turn = np.concatenate([windows.rotation[:, (a + b) // 2] for a, b in halves(t)])
         push = means(t, windows.push) if "f" in streams else None
-        known.append(_forces("", turn, changes(t, streams["v"]), push))
+        known.append(_forces("", middles(windows.rotation), changes(t, streams["v"]), push))
     if has("pq", "force (p)"):
-        p = streams["p"]
-        half = t.shape[1] // 2
-        first, second = ((t[:, b] - t[:, a])[:, None] for a, b in halves(t))
+        middle = t.shape[1] // 2
+        first = (t[:, middle] - t[:, 0])[:, None]
+        second = (t[:, -1] - t[:, middle])[:, None]
+        before, after = np.split(changes(t, streams["p"]), 2)
         length = (first + second) / 2
-        change = (p[:, -1] - p[:, half]) / second - (p[:, half] - p[:, 0]) / first
         push = None
         if "f" in streams:
-            since = t - t[:, half : half + 1]
-            triangle = np.maximum(0.0, 1 - np.abs(since) / np.where(since < 0, first, second))[..., None]
-            push = np.trapezoid(windows.push * triangle, t[..., None], axis=1) / length
-        known.append(_forces(" (p)", windows.rotation[:, half], change / length, push))
+            since = t - t[:, middle, None]
+            triangle = np.maximum(0.0, 1 - np.abs(since) / np.where(since < 0, first, second))
+            push = np.trapezoid(windows.push * triangle[..., None], t[..., None], axis=1) / length
+        known.append(_forces(" (p)", windows.rotation[:, middle], (after - before) / length, push))
     return known
 
 
@@ -175,10 +174,23 @@ def _forces(of: str, turn: np.ndarray, acceleration: np.ndarray, push: np.ndarra
     return Pair(f"force{of}", expected, np.einsum("nij,ni->nj", turn, push))
 
 
-def halves(t: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First and last sample of both halves of windows t (n, 2m + 1)."""
-    half = t.shape[1] // 2
-    return (0, half), (half, 2 * half)
+def both(x: np.ndarray) -> np.ndarray:
+    """The first halves of windows x (n, 2m + 1, ...), then the second ones, (2n, m + 1, ...)."""
+    middle = x.shape[1] // 2
+    return np.concatenate([x[:, : middle + 1], x[:, middle:]])
+
+
+def middles(x: np.ndarray) -> np.ndarray:
+    """The samples of x (n, 2m + 1, ...) in the middle of both halves, (2n, ...)."""
+    x = both(x)
+    return x[:, (x.shape[1] - 1) // 2]
+
+
+def changes(t: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Rates of change of x (n, l, m) over both halves of the windows, (2n, m)."""
+    t = both(t)
+    x = both(x)
+    return (x[:, -1] - x[:, 0]) / (t[:, -1] - t[:, 0])[:, None]
 
 
 def means(t: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -186,16 +198,11 @@ def means(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     return weighted(t, (x[:, 1:] + x[:, :-1]) / 2)
 
 
-def changes(t: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Rates of change of x (n, l, m) over both halves of the windows, (2n, m)."""
-    return np.concatenate([(x[:, b] - x[:, a]) / (t[:, b] - t[:, a])[:, None] for a, b in halves(t)])
-
-
 def weighted(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Means over both halves of what is given between the samples, (n, l - 1, m)."""
-    weight = np.diff(t, axis=1)[..., None]
-    parts = [slice(a, b) for a, b in halves(t)]
-    return np.concatenate([np.sum(x[:, s] * weight[:, s], axis=1) / np.sum(weight[:, s], axis=1) for s in parts])
+    steps = np.diff(both(t), axis=1)[..., None]
+    x = np.concatenate(np.split(x, 2, axis=1))
+    return np.sum(x * steps, axis=1) / np.sum(steps, axis=1)
 
 
 def rotations(q: np.ndarray) -> Rotation:
