@@ -182,6 +182,8 @@ def _renamed(header: list[str]) -> list[str]:
 def _columns(where: str, header: list[str]) -> tuple[str, ...]:
     """The columns that are read of a CSV file; DataError where one is missing."""
     angles = (*HEADINGS, *DEGREES)
+    needed: tuple[str, ...]
+    optional: tuple[str, ...]
     if any(name in header for name in WAYPOINTS) and not any(name in header for name in TRACK[1:]):
         needed = WAYPOINTS
         optional = ("t", *angles)

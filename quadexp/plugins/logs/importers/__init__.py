@@ -56,14 +56,14 @@ class Options:
 
 def checked(options: Options) -> Mapping | None:
     """The mapping that the options name; raises UsageError where the request itself is wrong."""
-    if options.format not in (known := ("auto", *ready(), *readers())):
+    known = ("auto", *ready(), *readers())
+    if options.format not in known:
         raise UsageError(f"--log-format {options.format}: no such format; there are {', '.join(known)}")
-    mapping = None if options.mapping is None else load_mapping(options.mapping)
-    if mapping is None and options.format == "csv":
+    if options.mapping is None and options.format == "csv":
         raise UsageError("--log-format csv: needs --mapping FILE; `quadexp import --describe LOG` proposes one")
     if options.rate is not None and not 0.1 <= options.rate <= 10_000:
         raise UsageError(f"--rate {options.rate:g}: must be in [0.1, 10000] Hz")
-    return mapping
+    return None if options.mapping is None else load_mapping(options.mapping)
 
 
 def import_log(

@@ -19,7 +19,7 @@ from quadexp.plugins.logs.importers.mapping import Crop
 from quadexp.plugins.logs.importers.quantities import ROTORS, columns_of, place_of
 from quadexp.plugins.logs.importers.raw import RawLog
 from quadexp.plugins.logs.signal import GAP_PERIODS, Stream, derivative, numbered
-from quadexp.plugins.logs.signal.resample import resample
+from quadexp.plugins.logs.signal.resample import Resampled, resample
 from quadexp.plugins.logs.units import UNITS
 
 HELD = ("motor_command", "rotor_thrust", "battery_voltage", "wind")
@@ -32,7 +32,8 @@ SHORTEST = 5  # rows of a segment
 MOST_ROWS = 8_000_000  # 2 h at 1 kHz
 MOST_EMPTY = 20.0  # times as long as what has data: more is no gap, but a clock that jumps
 LONGEST = 7 * 86400.0  # s
-LIKELY_RATES = (20.0, 9000.0)  # Hz, of a log whose unit of time is wrong
+SLOWEST = 20.0  # Hz, of the rows of a log whose unit of time is wrong
+FASTEST = 9000.0  # Hz, likewise
 
 
 def assemble(
@@ -113,13 +114,16 @@ def _short_ones_out(streams: dict[str, Stream], notes: list[str]) -> None:
 
 def _check_clock(path: Path, streams: dict[str, Stream]) -> None:
     for name, stream in streams.items():
-        length, step = stream.t[-1] - stream.t[0], np.diff(stream.t)
-        covered = float(np.minimum(step, 10 * np.median(step)).sum())
+        length = np.ptp(stream.t)
+        step = np.diff(stream.t)
+        period = period_of(stream.t)
+        covered = np.minimum(step, 10 * period).sum()
         if length > min(MOST_EMPTY * covered, LONGEST):
-            row, what = int(np.argmax(step)), "its clock jumps, or the unit of its time is wrong"
+            row = int(np.argmax(step))
+            what = "its clock jumps, or the unit of its time is wrong"
             for unit in ("ms", "us", "ns"):
-                rate = 1 / (float(np.median(step)) * UNITS["time"][unit])
-                if LIKELY_RATES[0] <= rate <= LIKELY_RATES[1]:
+                rate = 1 / (period * UNITS["time"][unit])
+                if SLOWEST <= rate <= FASTEST:
                     what += f": in {unit} its rows come at {rate:.4g} Hz, which `unit: {unit}` under `time:` says"
                     break
             raise DataError(f"{path}: {name} spans {length:.6g} s, {step[row]:.6g} s of it after row {row}: {what}")
@@ -127,19 +131,22 @@ def _check_clock(path: Path, streams: dict[str, Stream]) -> None:
 
 def _shared_period(streams: dict[str, Stream]) -> float | None:
     """The period, where all streams share one uniform clock."""
-    first, *rest = streams.values()
-    if any(len(s.t) != len(first.t) or not (s.t is first.t or (s.t == first.t).all()) for s in rest):
+    t = next(iter(streams.values())).t
+    if not all(np.array_equal(stream.t, t) for stream in streams.values()):
         return None
-    step = np.diff(first.t)
-    period = float(first.t[-1] - first.t[0]) / len(step)
+    step = np.diff(t)
+    period = float(np.ptp(t)) / len(step)
     return period if np.abs(step - period).max() < UNIFORM * period else None
 
 
 def _common_rate(rates: dict[str, float]) -> float:
     """Rate of the accelerometer or gyro, but at most twice that of pose and velocity; a round number near it (Hz)."""
     slow = [rates[name] for name in ("attitude", "velocity", "position") if name in rates]
-    fast = next((rates[name] for name in ("acceleration", "rate") if name in rates), None)
-    wanted = min(fast, 2 * min(slow)) if fast and slow else fast or min(slow)
+    fast = [rates[name] for name in ("acceleration", "rate") if name in rates]
+    limits = fast[:1]
+    if slow:
+        limits.append(2 * min(slow) if fast else min(slow))
+    wanted = min(limits)
     for digits in (1, 2, 3):
         near = float(f"{wanted:.{digits}g}")
         if abs(near - wanted) < 0.005 * wanted:
@@ -147,10 +154,8 @@ def _common_rate(rates: dict[str, float]) -> float:
     return wanted
 
 
-def _one_clock(
-    path: Path, streams: dict[str, Stream], core: list[str], rate: float, notes: list[str]
-) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
-    """Times, (k,) (s), values and segments, (k,), of all streams at the rate (Hz), over the time the core has data."""
+def _one_clock(path: Path, streams: dict[str, Stream], core: list[str], rate: float, notes: list[str]) -> Resampled:
+    """All streams at the rate (Hz), over the time the core has data."""
     begin = max(streams[name].t[0] for name in core)
     end = min(streams[name].t[-1] for name in core)
     if (end - begin) * rate > MOST_ROWS:
@@ -171,13 +176,13 @@ def _one_clock(
                 raise DataError(f"{path}: {name}: quaternion norm {norm:.4g} at row {row}, 1 is needed")
     gaps = dict.fromkeys(SLOW, np.inf)
     try:
-        t, values, segment = resample(streams, rate, quaternions=QUATERNIONS, held=HELD, gaps=gaps)
+        resampled = resample(streams, rate, quaternions=QUATERNIONS, held=HELD, gaps=gaps)
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
-    lost = int(np.round((end - begin) * rate)) + 1 - len(t)
-    if segment[-1] or lost > 1:
-        notes.append(f"gaps: {segment[-1] + 1} segments, {max(lost, 0) / rate:.3g} s without data")
-    return t, values, segment
+    lost = int(np.round((end - begin) * rate)) + 1 - len(resampled.t)
+    if resampled.segment[-1] or lost > 1:
+        notes.append(f"gaps: {resampled.segment[-1] + 1} segments, {max(lost, 0) / rate:.3g} s without data")
+    return resampled
 
 
 def _sort_rotors(

@@ -211,14 +211,14 @@ def with_attitude(streams: dict[str, Stream], name: str) -> tuple[Stream, Rotati
     stream = streams[name]
     if "attitude" not in streams:
         raise DataError(f"{name} has to be turned between world and body, but the log has no attitude")
-    q = streams["attitude"]
-    norm = norms(q.values)
-    if not (norm > 1e-6).all():
-        raise DataError(f"attitude: a quaternion of length zero at row {int(np.argmin(norm))}")
-    R = Rotation.from_quat(q.values, scalar_first=True)
-    if len(q.t) == len(stream.t) and (q.t is stream.t or (q.t == stream.t).all()):
+    t, q = streams["attitude"]
+    shortest = int(np.argmin(norms(q)))
+    if not norms(q)[shortest] > 1e-6:
+        raise DataError(f"attitude: a quaternion of length zero at row {shortest}")
+    R = Rotation.from_quat(q, scalar_first=True)
+    if np.array_equal(t, stream.t):
         return stream, R
-    inside = (stream.t >= q.t[0]) & (stream.t <= q.t[-1])
-    if len(q.t) < 2 or not inside.any():
+    inside = (stream.t >= t[0]) & (stream.t <= t[-1])
+    if len(t) < 2 or not inside.any():
         raise DataError(f"{name} and attitude have no time in common")
-    return Stream(stream.t[inside], stream.values[inside]), Slerp(q.t, R)(stream.t[inside])
+    return Stream(stream.t[inside], stream.values[inside]), Slerp(t, R)(stream.t[inside])

@@ -82,7 +82,8 @@ def thrust_of(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
 
 def _still(streams: Mapping[str, np.ndarray], width: int) -> np.ndarray:
     """Mask (k,): the specific force is gravity, and nothing moves, over `width` samples."""
-    f, w = streams["f"], streams["w"]
+    f = streams["f"]
+    w = streams["w"]
     still = np.abs(norms(_mean(f, width)) - GRAVITY) < STILL_FORCE
     still &= (_spread(f, width) < STILL_FORCE) & (_spread(w, width) < STILL_RATE)
     if "v" in streams:

@@ -26,12 +26,16 @@ from quadexp.plugins.logs.importers.readers.ulog import QUAD_X, turned
 
 ABOUT = "ArduPilot; needs [ardupilot]"
 FIRST_MOTOR = 33  # SERVOn_FUNCTION of motor 1
+ESTIMATORS = ("XKF1", "NKF1")  # the first that is there
 FIELDS = {
-    "position": (("XKF1", "NKF1"), ("PN", "PE", "PD")), "velocity": (("XKF1", "NKF1"), ("VN", "VE", "VD")),
-    "attitude": (("ATT",), ("Roll", "Pitch", "Yaw")), "rate": (("IMU",), ("GyrX", "GyrY", "GyrZ")),
-    "acceleration": (("IMU",), ("AccX", "AccY", "AccZ")), "battery_voltage": (("BAT",), ("Volt",)),
-}  # fmt: skip
-KINDS = sorted({kind for messages, _ in FIELDS.values() for kind in messages} | {"RCOU", "PARM"})
+    "position": (ESTIMATORS, ("PN", "PE", "PD")),
+    "velocity": (ESTIMATORS, ("VN", "VE", "VD")),
+    "attitude": (("ATT",), ("Roll", "Pitch", "Yaw")),
+    "rate": (("IMU",), ("GyrX", "GyrY", "GyrZ")),
+    "acceleration": (("IMU",), ("AccX", "AccY", "AccZ")),
+    "battery_voltage": (("BAT",), ("Volt",)),
+}
+KINDS = sorted({*ESTIMATORS, "ATT", "BAT", "IMU", "PARM", "RCOU"})
 
 
 def recognises(path: Path, head: bytes | None) -> bool:
@@ -55,8 +59,11 @@ def read(path: Path, named: str) -> RawLog:
     except Exception as error:  # damage raises what it likes
         raise DataError(f"{path}: damaged ({type(error).__name__}: {first_line(error)})") from None
     parameters = {str(row["Name"]): float(row["Value"]) for row in rows["PARM"]}
-    functions = {int(parameters.get(f"SERVO{i}_FUNCTION", 0)): f"C{i}" for i in range(1, 15)}
-    motors = tuple(functions[n] for n in range(FIRST_MOTOR, FIRST_MOTOR + 8) if n in functions)
+    motors = []
+    outputs = {parameters.get(f"SERVO{i}_FUNCTION"): f"C{i}" for i in range(1, 15)}
+    for motor in range(FIRST_MOTOR, FIRST_MOTOR + 8):
+        if motor in outputs:
+            motors.append(outputs[motor])
     log = RawLog("ardupilot", {}, "ardupilot")
     for name, (messages, fields) in {**FIELDS, "motor_command": (("RCOU",), motors)}.items():
         table = []

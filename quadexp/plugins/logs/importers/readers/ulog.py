@@ -32,7 +32,8 @@ _SIZES = {"int8_t": 1, "uint8_t": 1, "bool": 1, "char": 1, "int16_t": 2, "uint16
 Topic = Mapping[str, np.ndarray]  # field -> (k,); arrays are "q[0]", ...
 Topics = Mapping[str, Sequence[Topic]]  # name -> instances
 
-NED, FRD = axes_matrix("world", "NED", ""), axes_matrix("body", "FRD", "")
+NED = axes_matrix("world", "NED", "")
+FRD = axes_matrix("body", "FRD", "")
 RPM = UNITS["rotor_speed"]["rpm"]
 MOST_ROTORS = 12  # of PX4's actuator messages
 QUAD_X = ("front_right", "back_left", "front_left", "back_right")
@@ -270,7 +271,7 @@ def _valid(name: str, source: str, topic: Topic, log: RawLog) -> Topic | None:
             log.notes.append(f"{where}: the estimator never had a valid one ({said}): left out")
             return None
         if not good.all():
-            log.notes.append(f"{where}: not valid in {int((~good).sum())} of {len(good)} rows: left out")
+            log.notes.append(f"{where}: not valid in {int((~good).sum())} of {len(valid)} rows: left out")
             topic = {field: np.asarray(values)[good] for field, values in topic.items()}
     t = _times(topic)
     resets = []
