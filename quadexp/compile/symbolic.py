@@ -9,10 +9,12 @@ __all__ = ["ca"]
 if TYPE_CHECKING:
     import casadi as ca
 else:
+    from quadexp.compile.signals import undisturbed
 
     class _CasADi:
         def __getattr__(self, name: str) -> Any:
-            import casadi
+            with undisturbed():  # its bare `except` would swallow the exception, and the command would go on
+                import casadi
 
             attribute = getattr(casadi, name)
             setattr(self, name, attribute)  # the next time it is at hand

@@ -27,11 +27,12 @@ from typing import Any, Protocol
 
 from pebble import ProcessExpired, ProcessPool
 
+from quadexp.compile.signals import undisturbed
 from quadexp.errors import DataError, ModuleError, QuadexpError, UsageError, WriteError, stops_all
 from quadexp.experiment.identity import ModelFile, flight_identity
 from quadexp.parts.schema import Config
 from quadexp.parts.user_modules import import_from, own_folders
-from quadexp.sweeps.server import PATH, PRELOAD, start_server, undisturbed, without_main
+from quadexp.sweeps.server import PATH, PRELOAD, start_server, without_main
 
 ATTEMPTS = 2  # for a cell whose process died or took too long
 STARTING = 60.0  # s to wait for the processes of a pool

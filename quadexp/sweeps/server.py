@@ -11,11 +11,11 @@ import multiprocessing
 import os
 import signal
 import sys
-import threading
 from collections.abc import Iterator, Mapping, Sequence
 from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 
+from quadexp.compile.signals import undisturbed
 from quadexp.names import distinct
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -80,26 +80,6 @@ def without_main() -> Iterator[None]:
     finally:
         for name, value in saved.items():
             setattr(main, name, value)
-
-
-@contextlib.contextmanager
-def undisturbed() -> Iterator[None]:
-    """Delay SIGINT and SIGTERM to the end of the block: workers interrupted while they start print long tracebacks."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    asked: list[int] = []
-    usual = {
-        number: signal.signal(number, lambda number, frame: asked.append(number))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield
-    finally:
-        for number, handler in usual.items():
-            signal.signal(number, handler or signal.SIG_DFL)
-        for first in asked[:1]:
-            os.kill(os.getpid(), first)
 
 
 @contextlib.contextmanager

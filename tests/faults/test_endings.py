@@ -61,6 +61,17 @@ def wait_for(sign, started):
         time.sleep(0.02)
 
 
+def test_asked_to_end_where_a_library_catches_everything(tmp_path):
+    """casadi has a bare `except` in what it imports: an exception that a signal raises there was lost."""
+    imported = "import os, signal\ntry: os.kill(os.getpid(), signal.SIGTERM)\nexcept: pass\nSX = 1\n"
+    (tmp_path / "casadi.py").write_text(imported)
+    code = "from quadexp.cli.terminal import prepare; prepare()\n"
+    code += "from quadexp.compile.symbolic import ca; ca.SX; print(1)"
+    known = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=known)
+    assert "KeyboardInterrupt" in done.stderr and not done.stdout
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_flight_that_is_asked_to_end(tmp_path, number):
     """SIGTERM, of a batch system for one, ends a command as Ctrl-C does: in one line, with nothing half-written."""

@@ -30,11 +30,12 @@ from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 from distributed.security import Security
 
 from quadexp.cache import cache_folder
+from quadexp.compile.signals import undisturbed
 from quadexp.errors import QuadexpError
 from quadexp.parts.user_modules import own_folders
 from quadexp.provenance import identity
 from quadexp.sweeps.engine import CellFailed, CellFunction, Task, Workers, fly_as_planned
-from quadexp.sweeps.server import SAFE, THREADS, deaf_children, environment, undisturbed
+from quadexp.sweeps.server import SAFE, THREADS, deaf_children, environment
 from quadexp.writer import written
 
 # The web server of a scheduler and of a worker, which Dask starts with or without a dashboard.
