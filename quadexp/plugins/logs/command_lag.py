@@ -92,14 +92,19 @@ def _place(period: float, dead_time: float, lag: float, ends: bool) -> tuple[int
     part = dead_time / period
     back = int(np.floor(part + 1e-9)) if ends else int(np.ceil(part - 1e-9))
     since = (back + ends - part) * period
-    return back, float(np.exp(-since / lag)) if lag > 0 else 0.0
+    return back, _kept(since, lag)
+
+
+def _kept(time: float, lag: float) -> float:
+    """exp(-t / tau)."""
+    return float(np.exp(-time / lag)) if lag > 0 else 0.0
 
 
 def _begins(signal: np.ndarray, period: float, lag: float) -> np.ndarray:
     """y_j, (k, n)."""
     from scipy.signal import lfilter
 
-    kept = float(np.exp(-period / lag)) if lag > 0 else 0.0
+    kept = _kept(period, lag)
     before = np.concatenate([signal[:1], signal[:-1]])
     return lfilter([1 - kept], [1.0, -kept], before, axis=0, zi=kept * signal[:1])[0]
 
@@ -135,9 +140,11 @@ def find_lag(
     count = np.concatenate(counts)
     cost = _cost(blocks, count, np.ones(len(count)))
     best, (low, high) = _likeliest(cost)
-    drawn = np.random.default_rng(0).multinomial(len(count), np.full(len(count), 1 / len(count)), DRAWS)
+    alike = np.full(len(count), 1 / len(count))
+    drawn = np.random.default_rng(0).multinomial(len(count), alike, DRAWS)
     likely = np.array([_likeliest(_cost(blocks, count, weight))[0] for weight in drawn])
-    lowest, highest = np.percentile(np.column_stack([likely, likely.sum(axis=1)]), [2.5, 97.5], axis=0)
+    likely = np.column_stack([likely, likely.sum(axis=1)])
+    lowest, highest = np.percentile(likely, [2.5, 97.5], axis=0)
     low = np.minimum(low, lowest) - RESOLUTION
     high = np.maximum(high, highest) + RESOLUTION
     high[[0, 2]] += longest / 2
@@ -165,7 +172,8 @@ def _sums(signal: np.ndarray, beside: np.ndarray, period: float, held: bool) -> 
     most = int(np.ceil(DEAD_TIMES[-1] / period))
     edge = max(int(EDGE / period), most)
     inner = np.arange(edge, len(signal) - edge)
-    blocks = np.array_split(inner, max(2, int(len(inner) * period / BLOCK)))
+    n_blocks = int(len(inner) * period / BLOCK)
+    blocks = np.array_split(inner, max(2, n_blocks))
     n_powers = powers.shape[1]
     size = n_powers + beside.shape[1]
     beginning = n_powers * (most + 1)  # of the columns y
@@ -191,8 +199,11 @@ def _band(x: np.ndarray, period: float) -> np.ndarray:
     """Between LOW and HIGH, (k, m), without phase."""
     from scipy.signal import butter, sosfiltfilt
 
-    low, high = (sosfiltfilt(butter(2, f, fs=1 / period, output="sos"), x, axis=0) for f in (LOW, HIGH))
-    return high - low
+    below = {}
+    for frequency in (LOW, HIGH):
+        sections = butter(2, frequency, fs=1 / period, output="sos")
+        below[frequency] = sosfiltfilt(sections, x, axis=0)
+    return below[HIGH] - below[LOW]
 
 
 def _cost(blocks: np.ndarray, count: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -201,21 +212,30 @@ def _cost(blocks: np.ndarray, count: np.ndarray, weight: np.ndarray) -> np.ndarr
 
     total = np.tensordot(blocks, weight, (2, 0))
     power = total[..., -1, -1]
-    size = np.sqrt(np.maximum(np.einsum("...ii->...i", total[..., :-1, :-1]), 1e-300))
-    normal = total[..., :-1, :-1] / (size[..., None] * size[..., None, :]) + 1e-9 * np.eye(size.shape[-1])
+    normal = total[..., :-1, :-1]
+    diagonal = np.einsum("...ii->...i", normal)
+    size = np.sqrt(np.maximum(diagonal, 1e-300))
+    normal = normal / (size[..., None] * size[..., None, :])
+    normal += 1e-9 * np.eye(size.shape[-1])
     along = total[..., :-1, -1] / size
-    explained = np.sum(along * np.linalg.solve(normal, along[..., None])[..., 0], axis=-1)
-    cost = float(weight @ count) / 2 * np.log(np.maximum(power - explained, 1e-12 * power))
+    solved = np.linalg.solve(normal, along[..., None])[..., 0]
+    unexplained = power - np.sum(along * solved, axis=-1)
+    half_count = float(weight @ count) / 2
+    cost = half_count * np.log(np.maximum(unexplained, 1e-12 * power))
     return Akima1DInterpolator(LAGS, cost, axis=1, method="makima")(FINE_LAGS)
 
 
 def _likeliest(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Dead time and lag, (2,) (s); and the lowest and highest of each and of their sum that is about as likely,
     (2, 3) (s)."""
-    constants = (DEAD_TIMES > 0)[:, None].astype(float) + (FINE_LAGS > 0)
-    claimed = cost + SIMPLER * constants
-    first = int(np.nonzero(claimed < claimed.min() + ALIKE)[0].min())
+    claimed = cost.copy()
+    claimed[DEAD_TIMES > 0] += SIMPLER
+    claimed[:, FINE_LAGS > 0] += SIMPLER
+    alike, _ = np.nonzero(claimed < claimed.min() + ALIKE)
+    first = alike.min()
     best = np.array([DEAD_TIMES[first], FINE_LAGS[claimed[first].argmin()]])
     rows, columns = np.nonzero(cost < cost.min() + NEAR)
-    near = np.stack([DEAD_TIMES[rows], FINE_LAGS[columns], DEAD_TIMES[rows] + FINE_LAGS[columns]])
+    dead_time = DEAD_TIMES[rows]
+    lag = FINE_LAGS[columns]
+    near = np.stack([dead_time, lag, dead_time + lag])
     return best, np.stack([near.min(axis=1), near.max(axis=1)])

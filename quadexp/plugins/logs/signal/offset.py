@@ -137,10 +137,10 @@ def _sums(pieces: Sequence[Sequence[np.ndarray]], reach: int) -> tuple[np.ndarra
     number of samples in the shortest stretch."""
     from scipy.signal import correlate
 
-    slopes = [np.sum(np.gradient(x, axis=0)[reach:-reach] ** 2, axis=1) for x, _ in pieces]
-    telling = np.cumsum(np.concatenate(slopes))
+    slopes = [np.gradient(x, axis=0)[reach:-reach] for x, _ in pieces]
+    telling = np.cumsum(np.sum(np.concatenate(slopes) ** 2, axis=1))
     share = telling / max(telling[-1], 1e-300)
-    number = np.minimum((share * STRETCHES * 0.999999).astype(int), STRETCHES - 1)
+    number = (share * STRETCHES * 0.999999).astype(int)
     sums = np.zeros((STRETCHES, 3, 2 * reach + 1))
     first = 0
     for x, y in pieces:
@@ -163,8 +163,8 @@ def _peak(sums: np.ndarray, rate: float) -> tuple[float, float, float, bool]:
     from scipy.interpolate import CubicSpline
 
     dot, aa, bb = sums
-    size = np.sqrt(np.maximum(aa * np.maximum(bb, 1e-12 * bb.max()), 1e-300))
-    correlation = dot / size
+    bb = np.maximum(bb, 1e-12 * bb.max())
+    correlation = dot / np.sqrt(np.maximum(aa * bb, 1e-300))
     lags = (np.arange(len(dot)) - len(dot) // 2) / rate
     curve = CubicSpline(lags, correlation)
     flat = curve.derivative().roots(extrapolate=False)
@@ -180,21 +180,22 @@ def drifting(a: Stream, b: Stream) -> Offset | None:
     """Offset of b behind a that grows with time; None where it does not."""
     from scipy.stats import theilslopes
 
-    begin, end = max(a.t[0], b.t[0]) + LARGEST, min(a.t[-1], b.t[-1]) - LARGEST
+    begin = max(a.t[0], b.t[0]) + LARGEST
+    end = min(a.t[-1], b.t[-1]) - LARGEST
     count = min(int((end - begin) / WINDOW), MOST_WINDOWS)
     if count < LEAST_WINDOWS:
         return None
     known: list[Offset] = []
     middles: list[float] = []
     for middle in np.linspace(begin + WINDOW / 2, end - WINDOW / 2, count):
-        before = known[-1].seconds if known else 0.0
+        before = 0.0
+        if known:
+            before = known[-1].seconds
         if len(known) > 1:
             slope = (known[-1].seconds - known[0].seconds) / (middles[-1] - middles[0])
             before += slope * (middle - middles[-1])
-        near = np.abs(a.t - middle) < WINDOW / 2 + LARGEST
-        other = np.abs(b.t - before - middle) < WINDOW / 2 + LARGEST
         try:
-            offset = estimate_offset((a.t[near], a.values[near]), (b.t[other] - before, b.values[other]))
+            offset = estimate_offset(_about(a, middle), _about(Stream(b.t - before, b.values), middle))
         except DataError:
             continue
         if offset.correlation > LEAST_CORRELATION and offset.rival < AMBIGUOUS and abs(offset.seconds) < LARGEST:
@@ -209,18 +210,27 @@ def drifting(a: Stream, b: Stream) -> Offset | None:
     level = float(np.median(tau - slope * t))
     beside = tau - level - slope * t
     typical = np.median(np.abs(beside))
-    if abs(slope) < LEAST_DRIFT or low * high <= 0 or typical > min(AROUND_LINE, abs(slope) * np.ptp(t) / 4):
+    grown = abs(slope) * np.ptp(t)
+    if abs(slope) < LEAST_DRIFT or low * high <= 0 or typical > min(AROUND_LINE, grown / 4):
         return None
     errors = np.array([offset.error for offset in known])
     finite = np.isfinite(errors)  # others are of stretches in which it moved for a moment only
     errors[~finite] = errors[finite].max(initial=0.0)
     scatter = np.sqrt(np.sum(beside**2) / (len(known) - 2))
-    lever = (t - t.mean()) / np.sum((t - t.mean()) ** 2)
-    if not abs(slope) > SURELY * np.hypot(np.linalg.norm(lever * errors), scatter * np.linalg.norm(lever)):
+    around = t - t.mean()
+    lever = around / np.sum(around**2)
+    of_slope = np.hypot(np.linalg.norm(lever * errors), scatter * np.linalg.norm(lever))
+    if not abs(slope) > SURELY * of_slope:
         return None
     error = float(np.hypot(np.linalg.norm(errors) / len(known), scatter / np.sqrt(len(known))))
     correlation = float(np.median([offset.correlation for offset in known]))
     return Offset(level, error, correlation, 0.0, True, float(slope), middle)
+
+
+def _about(stream: Stream, middle: float) -> Stream:
+    """A stretch of WINDOW seconds, and as much beside it as it may be late."""
+    near = np.abs(stream.t - middle) < WINDOW / 2 + LARGEST
+    return Stream(stream.t[near], stream.values[near])
 
 
 # ----------------------------------------------------------------------------------------------- streams of a flight
@@ -250,7 +260,9 @@ def aligned(streams: Mapping[str, Stream], offsets: Mapping[tuple[str, str], Off
     """
     certain = {name: offset for (name, _), offset in offsets.items() if offset.certain}
     sensors = [name for name in MOTION if name in certain]
-    shifts = [_shifted(streams, certain, others) for others in ((), *((name,) for name in sensors))]
+    shifts = [_shifted(streams, certain, ())]
+    for name in sensors:
+        shifts.append(_shifted(streams, certain, (name,)))
     misfits = [_misfit(shift) for shift in shifts]
     best = int(np.argmin(misfits))
     if misfits[best] < CLEARLY * misfits[0]:
@@ -266,8 +278,12 @@ def _shifted(
     """Streams moved by their offsets; in place of the sensors `others` the motion that these are compared with."""
     shifted = dict(streams)
     for sensor, offset in offsets.items():
-        sign = 1.0 if sensor in others else -1.0
-        for name in MOTION[sensor] if sensor in others else (sensor,):
+        sign = -1.0
+        moved: tuple[str, ...] = (sensor,)
+        if sensor in others:
+            sign = 1.0
+            moved = MOTION[sensor]
+        for name in moved:
             if name in shifted:
                 t, values = shifted[name]
                 shifted[name] = Stream(t + sign * offset.at(t), values)
@@ -288,7 +304,8 @@ def _misfit(streams: Mapping[str, Stream]) -> float:
     q = interpolate(*streams["attitude"], t, sphere=True)
     push = Rotation.from_quat(q, scalar_first=True).apply(force)
     seen = interpolate(t, push, slopes.t)
-    return root_mean_square(_in_band(seen - slopes.values - [0.0, 0.0, GRAVITY], 1 / period_of(slopes.t)))
+    gap = seen - slopes.values - [0.0, 0.0, GRAVITY]
+    return root_mean_square(_in_band(gap, 1 / period_of(slopes.t)))
 
 
 def spread(stream: Stream) -> Stream:
@@ -297,7 +314,8 @@ def spread(stream: Stream) -> Stream:
     length = float(t[-1] - t[0])
     if length <= PARTS * PART:
         return stream
-    kept = ((t - t[0]) / length * PARTS) % 1.0 * length / PARTS < PART
+    since = (t - t[0]) % (length / PARTS)
+    kept = since < PART
     return Stream(t[kept], values[kept])
 
 
@@ -326,7 +344,8 @@ def _compared(name: str, source: str, streams: Mapping[str, Stream]) -> tuple[St
     motion = _slopes(early)
     if source == "position":
         motion = _slopes(motion)
-    return _size(Stream(motion.t, motion.values + [0.0, 0.0, GRAVITY])), _size(late)
+    force = Stream(motion.t, motion.values + [0.0, 0.0, GRAVITY])
+    return _size(force), _size(late)
 
 
 def _slopes(stream: Stream) -> Stream:
@@ -336,7 +355,8 @@ def _slopes(stream: Stream) -> Stream:
 
 def _between(t: np.ndarray, values: np.ndarray) -> Stream:
     near = np.diff(t) < 3.5 * period_of(t)
-    return Stream(((t[1:] + t[:-1]) / 2)[near], values[near])
+    middle = (t[1:] + t[:-1]) / 2
+    return Stream(middle[near], values[near])
 
 
 def _size(stream: Stream) -> Stream:

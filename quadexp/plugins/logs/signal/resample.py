@@ -114,7 +114,7 @@ def _stretch(times: np.ndarray, data: np.ndarray, at: np.ndarray, way: Way) -> n
 
     slack = ON_CLOCK / way.rate
     faster = 1 / (period_of(times) * way.rate)
-    near = np.clip(np.searchsorted(times, at + slack, side="right") - 1, 0, len(times) - 1)
+    near = _latest(times, at + slack)
     if np.abs(times[near] - at).max() <= slack and faster < SAME_RATE:
         return data[near]
     factor = int(np.ceil(faster / SAME_RATE))
@@ -137,6 +137,11 @@ def low_pass(factor: int) -> np.ndarray:
     return firwin(taps | 1, (0.5 + PASSBAND) / factor, window=("kaiser", beta))
 
 
+def _latest(t: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """The last row of t that is not later than each time, (k,); the first one where all are."""
+    return np.maximum(np.searchsorted(t, at, side="right") - 1, 0)
+
+
 def interpolate(
     t: np.ndarray, values: np.ndarray, at: np.ndarray, *, sphere: bool = False, held: bool = False
 ) -> np.ndarray:
@@ -147,7 +152,7 @@ def interpolate(
 
     at = np.clip(at, t[0], t[-1])
     if held:
-        return values[np.clip(np.searchsorted(t, at + 1e-9, side="right") - 1, 0, len(t) - 1)]
+        return values[_latest(t, at + 1e-9)]
     if not sphere:
         return PchipInterpolator(t, values)(at)
     whole = norms(values) > 0  # NaN is not; what is left out here is refused elsewhere

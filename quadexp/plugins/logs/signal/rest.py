@@ -64,7 +64,8 @@ def flying_level(thrust: np.ndarray, force: np.ndarray | None = None) -> float:
     if force is None:
         return float(np.median(thrust[thrust > 0.1 * peak]))
     flies = thrust > 0.05 * peak
-    return float(np.median(thrust[flies] * GRAVITY / np.maximum(norms(force[flies]), 0.3 * GRAVITY)))
+    size = np.maximum(norms(force[flies]), 0.3 * GRAVITY)
+    return float(np.median(thrust[flies] * GRAVITY / size))
 
 
 def thrust_of(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
@@ -85,7 +86,8 @@ def _still(streams: Mapping[str, np.ndarray], width: int) -> np.ndarray:
     f = streams["f"]
     w = streams["w"]
     still = np.abs(norms(_mean(f, width)) - GRAVITY) < STILL_FORCE
-    still &= (_spread(f, width) < STILL_FORCE) & (_spread(w, width) < STILL_RATE)
+    still &= _spread(f, width) < STILL_FORCE
+    still &= _spread(w, width) < STILL_RATE
     if "v" in streams:
         still &= norms(_mean(streams["v"], width)) < STILL_SPEED
     return still

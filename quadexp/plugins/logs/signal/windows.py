@@ -124,9 +124,11 @@ def window_samples(t: np.ndarray, good: np.ndarray, segment: np.ndarray | None =
         whole &= np.diff(segment) == 0
     breaks = np.concatenate([[0], np.cumsum(~whole)])
     first = np.arange(0, len(t) - 2 * half, half)
-    first = first[breaks[first] == breaks[first + 2 * half]]
+    last = first + 2 * half
+    first = first[breaks[first] == breaks[last]]
     if len(first) > MOST_WINDOWS:
-        first = first[np.linspace(0, len(first) - 1, MOST_WINDOWS).astype(int)]
+        spread = np.linspace(0, len(first) - 1, MOST_WINDOWS)
+        first = first[spread.astype(int)]
     return first[:, None] + np.arange(2 * half + 1)
 
 
@@ -159,8 +161,10 @@ def pairs(windows: Windows, touching: str = "tpqvwf") -> list[Pair]:
         push = None
         if "f" in streams:
             since = t - t[:, middle, None]
-            triangle = np.maximum(0.0, 1 - np.abs(since) / np.where(since < 0, first, second))
-            push = np.trapezoid(windows.push * triangle[..., None], t[..., None], axis=1) / length
+            half = np.where(since < 0, first, second)
+            triangle = np.maximum(0.0, 1 - np.abs(since) / half)
+            weighed = windows.push * triangle[..., None]
+            push = np.trapezoid(weighed, t[..., None], axis=1) / length
         known.append(_forces(" (p)", windows.rotation[:, middle], (after - before) / length, push))
     return known
 
@@ -210,11 +214,15 @@ def rotations(q: np.ndarray) -> Rotation:
     from scipy.spatial.transform import Rotation
 
     q = q.reshape(-1, 4)
-    return Rotation.from_quat(np.where(q.any(axis=1, keepdims=True), q, [1.0, 0.0, 0.0, 0.0]), scalar_first=True)
+    is_zero = ~q.any(axis=1, keepdims=True)
+    q = np.where(is_zero, [1.0, 0.0, 0.0, 0.0], q)
+    return Rotation.from_quat(q, scalar_first=True)
 
 
 def attitude_rate(t: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Body rate between neighbouring samples of an attitude, (..., l - 1, 3) (rad/s), of t (..., l), q (..., l, 4)."""
-    turn = (rotations(q[..., :-1, :]).inv() * rotations(q[..., 1:, :])).as_rotvec()
+    before = rotations(q[..., :-1, :])
+    after = rotations(q[..., 1:, :])
+    turn = (before.inv() * after).as_rotvec()
     step = np.diff(t, axis=-1)[..., None]
     return turn.reshape(*step.shape[:-1], 3) / step
