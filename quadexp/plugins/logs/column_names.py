@@ -124,8 +124,11 @@ def hint(name: str) -> Hint | None:
             match = pattern.fullmatch(text)
             if match is None:
                 continue
-            axis = match[1] if pattern.groups else ""
-            group = text[: match.start(1)] + "#" + text[match.end(1) :] if pattern.groups and axis else text
+            axis = ""
+            group = text
+            if pattern.groups and match[1]:
+                axis = match[1]
+                group = f"{text[: match.start(1)]}#{text[match.end(1) :]}"
             if quantity == "euler" or axis[:3] in ("rol", "pit", "yaw", "hea"):
                 group = "angles" if text in _AXES else text.replace(axis, "#")
                 axis = next(a for word, a in _AXES.items() if axis.startswith(word[:3]))

@@ -91,7 +91,8 @@ class Samples:
 
     def during(self, values: np.ndarray) -> np.ndarray:
         """Values (k, n) of the signal, over the interval that begins at each sample."""
-        later = np.minimum(np.arange(len(self)) + 1, np.searchsorted(self.segment, self.segment, "right") - 1)
+        last = np.searchsorted(self.segment, self.segment, "right") - 1  # of the segment
+        later = np.minimum(np.arange(len(self)) + 1, last)
         return np.where(self.held[:, None], values[later], values)
 
 
@@ -101,7 +102,8 @@ def late_signal(
     """L[s], (k, n), segment by segment. time, held: (k,); segment: (k,), ascending numbers."""
     late = signal.astype(float)
     period = period_of(time)
-    for rows in np.split(np.arange(len(time)), np.flatnonzero(np.diff(segment)) + 1):
+    ends = np.flatnonzero(np.diff(segment)) + 1
+    for rows in np.split(np.arange(len(time)), ends):
         late[rows] = lagged(late[rows], period, delay, lag, ends=bool(held[rows[0]]))
     return late
 
@@ -140,7 +142,7 @@ def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = N
     optional = []  # that every flight has
     if all("battery_voltage" in flight.columns for flight in flights):
         optional.append("voltage")
-    if all(name in f.columns and np.isfinite(f[name]).all() for f in flights for name in RATES):
+    if all(_has_rates(flight) for flight in flights):
         optional.append("rate")
     parts: list[dict[str, np.ndarray]] = []
     for index, (flight, name) in enumerate(zip(flights, names, strict=True)):
@@ -155,6 +157,10 @@ def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = N
         parts.append(part)
     arrays: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return Samples(kind=kind, names=names, **arrays)
+
+
+def _has_rates(flight: Flight) -> bool:
+    return all(name in flight.columns and np.isfinite(flight[name]).all() for name in RATES)
 
 
 def _part(flight: Flight, name: str, kind: str, optional: Sequence[str]) -> dict[str, np.ndarray]:
@@ -199,8 +205,9 @@ def gather_to_fit(flights: Sequence[Flight], signal: str | None = None, names: S
         return samples
     first = samples.time[np.searchsorted(samples.segment, samples.segment)]
     known = samples.time - first >= late.dead_time + SETTLED * late.lag
-    behind = samples.delayed(late.dead_time + late.error, late.lag).signal
-    return replace(samples.delayed(late.dead_time, late.lag), later=behind).rows(known)
+    later = samples.delayed(late.dead_time + late.error, late.lag).signal
+    delayed = samples.delayed(late.dead_time, late.lag)
+    return replace(delayed, later=later).rows(known)
 
 
 @dataclass(frozen=True)

@@ -108,7 +108,10 @@ def _short_ones_out(streams: dict[str, Stream], notes: list[str]) -> None:
     for name in [name for name in streams if name.startswith("reference")]:
         t = streams[name].t
         step = np.diff(t[(t >= begin) & (t <= finish)])
-        covered = step[step <= GAP_PERIODS * np.median(step)].sum() if len(step) else 0.0
+        covered = 0.0
+        if len(step):
+            no_gap = step <= GAP_PERIODS * np.median(step)
+            covered = step[no_gap].sum()
         leave_out(name, covered, finish - begin, LEAST_SHARE["reference"])
 
 

@@ -103,9 +103,9 @@ def _still_ends(t: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Mask of the rows in which the vehicle stands still on its lowest height at an end of the log for a while."""
     lowest = position[:, 2] < position[:, 2].min() + REST_HEIGHT
     rest = np.zeros(len(t), bool)
-    for end, order in ((0, slice(None)), (-1, slice(None, None, -1))):
-        still = (lowest & (norms(position - position[end]) < REST_DISTANCE))[order]
-        count = len(t) if still.all() else int(np.argmin(still))
-        if count and abs(t[order][count - 1] - t[order][0]) > REST_TIME:
-            rest[order][:count] = True
+    for end in (0, len(t) - 1):
+        still = lowest & (norms(position - position[end]) < REST_DISTANCE)
+        for start, stop in runs(still):
+            if start <= end < stop and t[stop - 1] - t[start] > REST_TIME:
+                rest[start:stop] = True
     return rest

@@ -160,9 +160,12 @@ def correction(lines: dict[str, Any], widths: Mapped[str, int]) -> Mapping:
 def _lines(node: Any, prefix: str = "") -> dict[str, int]:
     """Dotted key -> line."""
     lines: dict[str, int] = {}
-    for key, value in node.value if getattr(node, "id", "") == "mapping" else ():
+    if getattr(node, "id", "") != "mapping":
+        return lines
+    for key, value in node.value:
         name = f"{prefix}{key.value}"
-        lines |= {name: key.start_mark.line + 1, **_lines(value, f"{name}.")}
+        lines[name] = key.start_mark.line + 1
+        lines |= _lines(value, f"{name}.")
     return lines
 
 
@@ -262,8 +265,11 @@ class _Reader:
 
     def correction(self, lines: dict[str, Any], widths: Mapped[str, int]) -> Mapping:
         """Lines as a mapping of which streams in SI, ENU and FLU are the log. widths: columns by quantity."""
-        streams = {name: {"columns": list(columns_of(name, n)), **lines.get(name, {})} for name, n in widths.items()}
-        return self.mapping({**lines, **streams, "time": {"column": "t", **lines.get("time", {})}})
+        streams = dict(lines)
+        streams["time"] = {"column": "t", **lines.get("time", {})}
+        for name, width in widths.items():
+            streams[name] = {"columns": list(columns_of(name, width)), **lines.get(name, {})}
+        return self.mapping(streams)
 
     def clock(self, key: str, value: Any) -> Clock:
         if value is None:
@@ -294,7 +300,8 @@ class _Reader:
         low, high = options.get("range", (0.0, 1.0))
         if low == high:
             raise self.fail(f"{name}.range", f"must be {NUMBERS['range'].what}, and these differ")
-        options |= self.attitude(name, value, frames) if dimension == "angle" else self.frame(name, value, frames)
+        turned = self.attitude if dimension == "angle" else self.frame
+        options |= turned(name, value, frames)
         if "mounting" in options and not options["in_body"]:
             raise self.fail(f"{name}.mounting", "turns a sensor in the body, but `frame` says world")
         factor = 1.0

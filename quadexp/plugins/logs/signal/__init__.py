@@ -50,7 +50,8 @@ def increasing(t: np.ndarray) -> np.ndarray:
     """Mask of the rows, (k,), that lie later than every row before them: what is left is strictly increasing."""
     t = np.asarray(t, float)
     filled = np.where(np.isfinite(t), t, -np.inf)
-    before = np.concatenate([[-np.inf], np.maximum.accumulate(filled)[:-1]])
+    latest = np.maximum.accumulate(filled)
+    before = np.concatenate([[-np.inf], latest[:-1]])
     return filled > before
 
 
@@ -117,5 +118,5 @@ def bandwidth(length: int, dt: float) -> float:
     frequency = np.linspace(1e-4, 0.5, 4000) / dt
     omega = 2 * np.pi * frequency
     gain = (np.sin(np.outer(omega, offsets)) @ taps) / omega
-    below = np.flatnonzero(gain < np.sqrt(0.5))
-    return float(frequency[below[0]] if len(below) else frequency[-1])
+    below = frequency[gain < np.sqrt(0.5)]
+    return float(below[0] if len(below) else frequency[-1])
