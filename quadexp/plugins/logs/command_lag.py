@@ -61,13 +61,15 @@ class CommandLag(NamedTuple):
     @property
     def error(self) -> float:
         """Standard error of the sum (s)."""
-        return float(self.intervals[2, 1] - self.intervals[2, 0]) / (2 * 1.96)
+        low, high = self.intervals[2]
+        return float(high - low) / (2 * 1.96)
 
     @property
     def at_bound(self) -> np.ndarray:
         """Whether dead time, lag or their sum may be beyond what is searched, (3,): no upper end is known."""
         largest = np.array([DEAD_TIMES[-1], LAGS[-1]])
-        beyond = self.intervals[:2, 1] > largest - FINE
+        upper = self.intervals[:2, 1]
+        beyond = upper > largest - FINE
         return np.append(beyond, beyond.any())
 
     def __str__(self) -> str:
@@ -83,8 +85,9 @@ def lagged(signal: np.ndarray, period: float, dead_time: float, lag: float, *, e
     """L[s] at the samples, (k, n), of one stretch. signal: (k, n), held from each sample to the next; ends: over the
     interval that ends at the sample instead. Before the first sample it is that of the first."""
     back, kept = _place(period, dead_time, lag, ends)
+    begins = _begins(signal, period, lag)
     at = np.maximum(np.arange(len(signal)) - back, 0)
-    return (1 - kept) * signal[at] + kept * _begins(signal, period, lag)[at]
+    return (1 - kept) * signal[at] + kept * begins[at]
 
 
 def _place(period: float, dead_time: float, lag: float, ends: bool) -> tuple[int, float]:

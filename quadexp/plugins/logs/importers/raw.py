@@ -102,7 +102,8 @@ def without_repeats(name: str, stream: Stream, notes: list[str]) -> Stream:
     if every < 2 or np.mean(apart == every) < REGULAR:
         return stream
     rows = np.arange(len(t))
-    latest = np.concatenate([[0], changes])[np.searchsorted(changes, rows, side="right")]
+    changed = np.concatenate([[0], changes])
+    latest = changed[np.searchsorted(changes, rows, side="right")]
     kept = (rows - latest) % every == 0  # what stands still for longer is no gap
     rate = 1 / (every * period_of(t))
     notes.append(f"{name}: each value stands for {every} rows: taken as a stream of {rate:.3g} Hz")
@@ -118,9 +119,10 @@ def read_mapped(table: Table, mapping: Mapping) -> RawLog:
         raise DataError(f"{table.path}: holds no rows")
     for name, entry in mapping.entries.items():
         clock = entry.clock or mapping.clock
+        t = columns[clock.column] * clock.factor
         values = np.column_stack([columns[column] for column in entry.columns])
         where = f"{name} ({', '.join(entry.columns)})"
-        stream = clean_stream(table.path, where, columns[clock.column] * clock.factor, values, notes)
+        stream = clean_stream(table.path, where, t, values, notes)
         if name in MEASURED:
             stream = without_repeats(name, stream, notes)
         log.streams[name] = _convert(name, entry, stream)
@@ -134,7 +136,8 @@ def corrected(streams: dict[str, Stream], correction: Mapping) -> dict[str, Stre
     """Streams in SI, ENU and FLU, mended by lines of a mapping of which they are the log."""
     moved = {}
     for name, (t, values) in streams.items():
-        moved[name] = _convert(name, correction.entries[name], Stream(t * correction.clock.factor, values))
+        stream = Stream(t * correction.clock.factor, values)
+        moved[name] = _convert(name, correction.entries[name], stream)
     return _turned_to_frame(moved, correction.entries)
 
 
@@ -147,7 +150,8 @@ def _convert(name: str, entry: Entry, stream: Stream) -> Stream:
     low, high = entry.range
     values = (values - low) / (high - low)
     if QUANTITIES[name].is_vector:
-        values = values @ entry.axes.T @ mounting_matrix(entry.mounting).T - entry.offset
+        mounting = mounting_matrix(entry.mounting)
+        values = values @ entry.axes.T @ mounting.T - entry.offset
     return Stream(t, values)
 
 
@@ -221,4 +225,5 @@ def with_attitude(streams: dict[str, Stream], name: str) -> tuple[Stream, Rotati
     inside = (stream.t >= t[0]) & (stream.t <= t[-1])
     if len(t) < 2 or not inside.any():
         raise DataError(f"{name} and attitude have no time in common")
-    return Stream(stream.t[inside], stream.values[inside]), Slerp(t, R)(stream.t[inside])
+    part = Stream(stream.t[inside], stream.values[inside])
+    return part, Slerp(t, R)(part.t)

@@ -243,10 +243,13 @@ def find_offsets(streams: Mapping[str, Stream]) -> dict[tuple[str, str], Offset]
         if known or not {name, source} <= parts.keys():
             continue
         try:
-            offset = drifting(*_compared(name, source, streams)) or estimate_offset(*_compared(name, source, parts))
+            offset = drifting(*_compared(name, source, streams))
+            if offset is None:
+                offset = estimate_offset(*_compared(name, source, parts))
         except (DataError, ValueError, np.linalg.LinAlgError):
             continue
-        offsets[name, source] = offset._replace(certain=offset.certain and offset.correlation > correlation)
+        certain = offset.certain and offset.correlation > correlation
+        offsets[name, source] = offset._replace(certain=certain)
     return offsets
 
 

@@ -81,7 +81,8 @@ class Windows:
     @cached_property
     def rotation(self) -> np.ndarray:
         """R(q), (n, 2m + 1, 3, 3); where q is zero, the identity."""
-        return rotations(self.streams["q"]).as_matrix().reshape(*self.t.shape, 3, 3)
+        matrices = rotations(self.streams["q"]).as_matrix()
+        return matrices.reshape(*self.t.shape, 3, 3)
 
     @cached_property
     def push(self) -> np.ndarray:
@@ -90,7 +91,8 @@ class Windows:
 
     def every(self, step: int) -> Windows:
         """Every step-th window."""
-        return Windows(self.t[::step], {name: values[::step] for name, values in self.streams.items()})
+        streams = {name: values[::step] for name, values in self.streams.items()}
+        return Windows(self.t[::step], streams)
 
 
 class Pair(NamedTuple):
@@ -110,7 +112,8 @@ def cut(
 ) -> Windows:
     """Windows of streams (k, m) over times t (k,) without a gap in the clock, another segment or a bad sample."""
     samples = window_samples(t, good, segment)
-    return Windows(t[samples], {name: streams[name][samples] for name in STREAMS if name in streams})
+    chosen = {name: streams[name][samples] for name in STREAMS if name in streams}
+    return Windows(t[samples], chosen)
 
 
 def window_samples(t: np.ndarray, good: np.ndarray, segment: np.ndarray | None = None) -> np.ndarray:
@@ -145,7 +148,8 @@ def pairs(windows: Windows, touching: str = "tpqvwf") -> list[Pair]:
     if has("pv", "velocity"):
         known.append(Pair("velocity", changes(t, streams["p"]), means(t, streams["v"])))
     if has("qw", "rate"):
-        known.append(Pair("rate", weighted(t, attitude_rate(t, streams["q"])), means(t, streams["w"])))
+        turning = weighted(t, attitude_rate(t, streams["q"]))
+        known.append(Pair("rate", turning, means(t, streams["w"])))
     if has("f", "push"):
         read = means(t, streams["f"])
         known.append(Pair("push", np.where(UP, np.abs(read), read), read))
@@ -181,7 +185,8 @@ def _forces(of: str, turn: np.ndarray, acceleration: np.ndarray, push: np.ndarra
 def both(x: np.ndarray) -> np.ndarray:
     """The first halves of windows x (n, 2m + 1, ...), then the second ones, (2n, m + 1, ...)."""
     middle = x.shape[1] // 2
-    return np.concatenate([x[:, : middle + 1], x[:, middle:]])
+    first = x[:, : middle + 1]
+    return np.concatenate([first, x[:, middle:]])
 
 
 def middles(x: np.ndarray) -> np.ndarray:
@@ -194,7 +199,8 @@ def changes(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Rates of change of x (n, l, m) over both halves of the windows, (2n, m)."""
     t = both(t)
     x = both(x)
-    return (x[:, -1] - x[:, 0]) / (t[:, -1] - t[:, 0])[:, None]
+    duration = t[:, -1] - t[:, 0]
+    return (x[:, -1] - x[:, 0]) / duration[:, None]
 
 
 def means(t: np.ndarray, x: np.ndarray) -> np.ndarray:

@@ -113,7 +113,8 @@ def quantities(header: dict[str, Any], fields: Numbers) -> Numbers:
             result[quantity] = (np.column_stack(columns) - zero) * scale
     if "attitude" in result:
         vector = result["attitude"]
-        scalar = np.sqrt(np.maximum(1.0 - np.sum(vector**2, axis=1), 0.0))
+        square = 1.0 - np.sum(vector**2, axis=1)
+        scalar = np.sqrt(np.maximum(square, 0.0))
         result["attitude"] = continuous(np.column_stack([scalar, vector]))
     if not np.nanmax(result.get("rotor_speed", 0.0), initial=0.0) > 0:  # no telemetry
         result.pop("rotor_speed", None)
