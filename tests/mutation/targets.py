@@ -119,6 +119,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     ),
     "quadexp/plugins/margins/linear_loop.py": ("tests/plugins/margins/test_linear_loop.py",),
     "quadexp/plugins/margins/linearised.py": ("tests/plugins/margins/test_linear_loop.py",),
+    "quadexp/plugins/margins/remembered.py": ("tests/plugins/margins/test_linear_loop.py",),
     "quadexp/reference/flat*.py": (
         "tests/reference/test_flat_map.py",
         "tests/reference/test_limits.py",

@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from quadexp.plugins.papers.sun.conditions import Condition, conditions, with_logged
 from quadexp.plugins.papers.sun.data import published
-from quadexp.plugins.papers.sun.report import Condition, conditions, with_logged
 from tests.reproduction.test_torrente import quadexp
 
 pytestmark = pytest.mark.slow

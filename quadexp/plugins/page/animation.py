@@ -7,9 +7,8 @@ every vehicle drawn to scale from above.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -35,6 +34,9 @@ TRAIL = 1.5  # s of path behind a vehicle
 COLOURS = 64  # of a GIF
 HOLD = 1.2  # s that the last frame stays
 MOST_FRAMES = 3000  # 2 min at 25 a second
+AFTER_END = 0.1  # s from which on a vehicle is shown to have ended
+LEAST_ERROR = 1e-9  # m, on a logarithmic axis
+REFERENCE = ("ref_p_x", "ref_p_y", "ref_p_z")
 SAME = 1e-3  # m; references that differ by more are not the same: those of other control rates are interpolated
 
 
@@ -68,36 +70,42 @@ def animate(
     check_output(out, force=force)
     picture = _Picture(_labels(paths, flights), flights, begin, end)
     with written(out, force=force) as file, Progress("frames") as progress:
-        _write_gif(_counted(picture, times, progress), picture.frame(times[len(times) // 2]), times, file)
+        _write_gif(picture, times, file, progress)
     return {"path": out, "frames": len(times), "duration": len(times) / rate}
 
 
-def _counted(picture: _Picture, times: np.ndarray, progress: Progress) -> Iterator[Image.Image]:
-    for k, t in enumerate(times):
-        yield picture.frame(t)
-        progress(k + 1, len(times))
+def _write_gif(picture: _Picture, times: np.ndarray, file: BinaryIO, progress: Progress) -> None:
+    """All frames have the colours of the one in the middle."""
+    typical = picture.frame(times[len(times) // 2])
+    palette = typical.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
 
+    def frames() -> Iterator[Image.Image]:
+        for k, t in enumerate(times):
+            yield picture.frame(t).quantize(palette=palette, dither=Image.Dither.NONE)
+            progress(k + 1, len(times))
 
-def _write_gif(frames: Iterator[Image.Image], typical: Image.Image, times: np.ndarray, file: BinaryIO) -> None:
-    """All frames have the colours of the typical one."""
-    colours = typical.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-    indexed = (frame.quantize(palette=colours, dither=Image.Dither.NONE) for frame in frames)
     shown = 10 * np.diff(np.round(100 * (times - times[0]))).astype(int)  # ms, in the file's unit, without drifting
-    options = {"save_all": True, "append_images": indexed, "duration": [*shown.tolist(), round(1000 * HOLD)], "loop": 0}
-    next(indexed).save(file, "GIF", **options)
+    durations = [*shown.tolist(), round(1000 * HOLD)]
+    every = frames()
+    next(every).save(file, "GIF", save_all=True, append_images=every, duration=durations, loop=0)
 
 
 def _check_same_reference(paths: Sequence[Path], flights: Sequence[Flight]) -> None:
     """UsageError where a flight has another reference; those of other control rates are compared between samples."""
     for path, flight in zip(paths, flights, strict=True):
-        if not len(flight["t"]) or "ref_p_x" not in flight.columns:
+        if not len(flight) or "ref_p_x" not in flight.columns:
             raise UsageError(f"{path}: has no samples with a reference to show")
-        coarse, fine = sorted((flight, flights[0]), key=lambda f: len(f) / max(float(f["t"][-1]), 1e-9))
-        t = coarse["t"][coarse["t"] <= fine["t"][-1] + 1e-9]
-        for name in ("ref_p_x", "ref_p_y", "ref_p_z"):
-            between = CubicSpline(fine["t"], fine[name])(t) if len(fine) > 1 else fine[name]
-            if np.abs(between - coarse[name][: len(t)]).max() > SAME:
-                raise UsageError(f"{path}: follows another reference than {paths[0]}; give flights of one trajectory")
+        coarse, fine = sorted((flight, flights[0]), key=_samples_a_second)
+        common = coarse.t <= fine.t[-1] + 1e-9
+        between = fine.stack(REFERENCE)
+        if len(fine) > 1:
+            between = CubicSpline(fine.t, between)(coarse.t[common])
+        if np.abs(between - coarse.stack(REFERENCE)[common]).max() > SAME:
+            raise UsageError(f"{path}: follows another reference than {paths[0]}; give flights of one trajectory")
+
+
+def _samples_a_second(flight: Flight) -> float:
+    return len(flight) / max(float(flight.t[-1]), 1e-9)
 
 
 def _labels(paths: Sequence[Path], flights: Sequence[Flight]) -> list[str]:
@@ -108,38 +116,50 @@ def _labels(paths: Sequence[Path], flights: Sequence[Flight]) -> list[str]:
     return [f"{name} {path.stem}" if names.count(name) > 1 else name for name, path in zip(names, paths, strict=True)]
 
 
-@dataclass
+class _Panels(NamedTuple):
+    """path: all of it. near: around the reference, to scale. course: the error over time."""
+
+    path: Any
+    near: Any
+    course: Any
+
+
 class _Flown:
     """A flight, and what of it moves. error: of its samples (m). rotors: their positions (m)."""
 
-    flight: Flight
-    error: np.ndarray
-    rotors: np.ndarray
-    trail: Any
-    vehicle: Any
-    body: Any
-    line: Any
-
-    @property
-    def moving(self) -> tuple[Any, ...]:
-        return self.trail, self.vehicle, self.line, self.body
+    def __init__(self, flight: Flight, label: str, colour: str, panels: _Panels) -> None:
+        self.flight = flight
+        self.error = position_error(flight)
+        self.rotors = flight.rotor_position
+        of_all = f"mean {1e3 * self.error.mean():.3g} mm" if flight.outcome in COMPLETED else flight.outcome
+        (self._trail,) = panels.path.plot([], [], color=colour, linewidth=2)
+        (self._vehicle,) = panels.path.plot([], [], marker="o", markersize=5, color=colour, linestyle="none")
+        (self._line,) = panels.course.plot([], [], color=colour, label=f"{label}: {of_all}")
+        self._body = panels.near.add_collection(LineCollection([], colors=colour, linewidths=2.2))
+        self.moving = (self._trail, self._vehicle, self._line, self._body)
 
     def sample(self, t: float) -> int:
         """The last sample that is not after a time (s), or the first one."""
-        return max(int(np.searchsorted(self.flight["t"], t + 1e-9)) - 1, 0)
+        return max(int(np.searchsorted(self.flight.t, t + 1e-9)) - 1, 0)
+
+    def largest_error(self, begin: float, end: float) -> float:
+        """Between two times (s), in m."""
+        return float(self.error[self.sample(begin) : self.sample(end) + 1].max())
 
     def show(self, t: float) -> None:
         """Move everything to a time (s)."""
         flight = self.flight
         k = self.sample(t)
-        now = slice(0, k + 1)
-        ended = t > flight["t"][-1] + 0.1
-        behind = slice(int(np.searchsorted(flight["t"], t - TRAIL)), k + 1)
-        self.trail.set_data(flight["p_x"][behind], flight["p_y"][behind])
-        self.vehicle.set_data(flight["p_x"][k : k + 1], flight["p_y"][k : k + 1])
-        self.vehicle.set_marker("x" if ended else "o")
-        self.line.set_data(flight["t"][now], 1e3 * np.maximum(self.error[now], 1e-9))
-        self.body.set_segments([] if ended else _body(flight, k, self.rotors))
+        behind = slice(int(np.searchsorted(flight.t, t - TRAIL)), k + 1)
+        self._trail.set_data(flight["p_x"][behind], flight["p_y"][behind])
+        self._vehicle.set_data(flight["p_x"][k : k + 1], flight["p_y"][k : k + 1])
+        self._line.set_data(flight.t[: k + 1], 1e3 * np.maximum(self.error[: k + 1], LEAST_ERROR))
+        if t > flight.t[-1] + AFTER_END:
+            self._vehicle.set_marker("x")
+            self._body.set_segments([])
+        else:
+            self._vehicle.set_marker("o")
+            self._body.set_segments(_body(flight, k, self.rotors))
 
 
 class _Picture:
@@ -147,12 +167,11 @@ class _Picture:
 
     @styled
     def __init__(self, labels: Sequence[str], flights: Sequence[Flight], begin: float, end: float) -> None:
-        longest = max(flights, key=lambda flight: len(flight["t"]))
         figure = Figure(figsize=SIZE, dpi=DPI)
         halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1))
-        left_half, right_half = halves
-        path, course = left_half.subplots(2, 1, height_ratios=(2.2, 1))
-        near = right_half.subplots()
+        path, course = halves[0].subplots(2, 1, height_ratios=(2.2, 1))
+        panels = _Panels(path, halves[1].subplots(), course)
+        longest = max(flights, key=len)
         path.plot(longest["ref_p_x"], longest["ref_p_y"], color="#AAAAAA", linewidth=0.8)
         path.set_aspect("equal", "datalim")
         path.set(xlabel="x (m)", ylabel="y (m)")
@@ -160,42 +179,41 @@ class _Picture:
         look = looks(labels)
         self._flown = []
         for label, flight in zip(labels, flights, strict=True):
-            colour = look[label].colour
-            error = position_error(flight)
-            of_all = f"mean {1e3 * error.mean():.3g} mm" if flight.outcome in COMPLETED else flight.outcome
-            (trail,) = path.plot([], [], color=colour, linewidth=2)
-            (vehicle,) = path.plot([], [], marker="o", markersize=5, color=colour, linestyle="none")
-            (line,) = course.plot([], [], color=colour, label=f"{label}: {of_all}")
-            body = near.add_collection(LineCollection([], colors=colour, linewidths=2.2))
-            self._flown.append(_Flown(flight, error, flight.rotor_position, trail, vehicle, body, line))
-        shown = []
-        for flown in self._flown:
-            shown.append(flown.error[flown.sample(begin) : flown.sample(end) + 1].max())
-        size = max(float(norms(flown.rotors).max()) for flown in self._flown)
-        reach = 1.05 * float(max(shown)) + 1.6 * size
-        near.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x - reference (m)", ylabel="y - reference (m)")
-        near.set_aspect("equal")
-        near.plot(0, 0, marker="+", markersize=12, color="#777777")
-        self._clock = near.set_title("to scale", fontsize=9)
-        smallest = []
-        for f in self._flown:
-            if len(error := f.error[f.error > 0]):
-                smallest.append(np.percentile(error, 5))
-        low = max(min(smallest, default=0.0), 1e-6)
-        high = 1.3 * max(2 * low, *(flown.error.max() for flown in self._flown))
-        course.set(xlim=(0, longest["t"][-1]), yscale="log", ylim=(1e3 * low, 1e3 * high))
-        course.set(xlabel="time (s)", ylabel="error (mm)")
-        plain_log(course.yaxis)
-        right_half.legend(*course.get_legend_handles_labels(), loc="outside lower center", fontsize=8)
+            self._flown.append(_Flown(flight, label, look[label].colour, panels))
+        self._clock = panels.near.set_title("to scale", fontsize=9)
+        self._scale_near(panels.near, begin, end)
+        self._scale_course(course, float(longest.t[-1]))
+        halves[1].legend(*course.get_legend_handles_labels(), loc="outside lower center", fontsize=8)
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # one layout for all frames
-        self._moving = [self._clock, *(artist for flown in self._flown for artist in flown.moving)]
+        self._moving = [self._clock]
+        for flown in self._flown:
+            self._moving += flown.moving
         for artist in self._moving:
             artist.set_animated(True)
         canvas: Any = FigureCanvasAgg(figure)
         canvas.draw()
         self._canvas = canvas
         self._ground = canvas.copy_from_bbox(figure.bbox)
+
+    def _scale_near(self, near: Any, begin: float, end: float) -> None:
+        """So large that the vehicles are in it from one time (s) to the other."""
+        error = max(flown.largest_error(begin, end) for flown in self._flown)
+        size = max(float(norms(flown.rotors).max()) for flown in self._flown)
+        reach = 1.05 * error + 1.6 * size
+        near.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="x - reference (m)", ylabel="y - reference (m)")
+        near.set_aspect("equal")
+        near.plot(0, 0, marker="+", markersize=12, color="#777777")
+
+    def _scale_course(self, course: Any, duration: float) -> None:
+        """From small errors to the largest one, of the whole flights (s)."""
+        moving = [flown.error[flown.error > 0] for flown in self._flown]
+        small = min((float(np.percentile(error, 5)) for error in moving if len(error)), default=0.0)
+        low = max(small, 1e-6)
+        high = 1.3 * max(2 * low, *(flown.error.max() for flown in self._flown))
+        course.set(xlim=(0, duration), yscale="log", ylim=(1e3 * low, 1e3 * high))
+        course.set(xlabel="time (s)", ylabel="error (mm)")
+        plain_log(course.yaxis)
 
     def frame(self, t: float) -> Image.Image:
         """The picture at a time (s)."""
@@ -217,10 +235,11 @@ def _title(flight: Flight) -> str:
 
 def _body(flight: Flight, k: int, rotors: np.ndarray) -> list[np.ndarray]:
     """Arms and rotor discs seen from above, relative to the reference (m)."""
-    rotation = Rotation.from_quat([flight[f"q_{axis}"][k] for axis in "xyzw"]).as_matrix()
+    rotation = Rotation.from_quat([flight[f"q_{axis}"][k] for axis in "xyzw"])
     centre = np.array([flight[f"p_{axis}"][k] - flight[f"ref_p_{axis}"][k] for axis in "xyz"])
     angle = np.linspace(0, 2 * np.pi, 17)
     radius = 0.55 * norms(rotors[:, :2]).min()
     disc = radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
-    lines = [np.stack([centre, centre + rotation @ rotor])[:, :2] for rotor in rotors]
-    return lines + [(centre + (rotor + disc) @ rotation.T)[:, :2] for rotor in rotors]
+    arms = [np.stack([np.zeros(3), rotor]) for rotor in rotors]
+    discs = [rotor + disc for rotor in rotors]
+    return [(centre + rotation.apply(line))[:, :2] for line in (*arms, *discs)]

@@ -143,12 +143,10 @@ def table(
     quadexp table results/x --rows trajectory,speed --columns controller --intervals pm --digits 3 --out table.tex
     quadexp table results/x --metric rmse --label gp_mpc="GP (ours)" --width page --out table.md
     """
-    from quadexp.messages import suggestion
     from quadexp.plugins.page.fitted import WIDTHS as POINTS
     from quadexp.plugins.page.fitted import fitted_latex
     from quadexp.plugins.page.paper_table import paper_table
-    from quadexp.plugins.page.view import SUCCESS
-    from quadexp.report.frame import is_metric
+    from quadexp.plugins.page.view import check_metric
 
     names = _labels(label)
     if out is not None:
@@ -158,9 +156,7 @@ def table(
             raise UsageError(f"--out {out}: end it in .tex, .md or .csv, or give --format latex, markdown or csv")
     frame, _ = _flights(results, where)
     metric = metric or str(frame.record.get("metric", "mean_error"))
-    if metric != SUCCESS and not (is_metric(metric) and metric in frame.names):
-        known = [*filter(is_metric, frame.names), SUCCESS]
-        raise UsageError(f"--metric {metric}: no number of a flight{suggestion(metric, known)}")
+    check_metric(frame, metric, "--metric")
     rendered = paper_table(
         frame, metric, rows=_keys(rows), columns=_keys(columns), names=names, intervals=intervals, digits=digits
     )

@@ -6,11 +6,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import replace
 from typing import Literal
 
+from quadexp.plugins.page.places import Point
+from quadexp.report.pairing import Rows
 from quadexp.report.statistics import Statistic
+from quadexp.report.table import Table
+from quadexp.report.tables import error_table
 from quadexp.report.text import shown, with_interval
 
 Intervals = Literal["none", "pm", "brackets"]
@@ -52,34 +55,16 @@ def cell_text(
     return text + interval + star + lost
 
 
-def compact_cell(intervals: Intervals, digits: int | None = None) -> Callable[[Statistic], str]:
-    """What writes a statistic of the error table into a cell of a paper's table."""
+def compact_table(
+    rows: Rows, metric: str, baseline: str, confidence: float, intervals: Intervals, digits: int | None = None
+) -> Table:
+    """The error table of a metric with such cells, which say themselves how many flights were completed."""
+    factor = shown(metric)[0]
 
     def cell(s: Statistic) -> str:
         ended, trials = s.flown
         point = Point(s.common_mean, s.common_low, s.common_high, ended=ended, trials=trials)
-        return cell_text(shown(s.metric)[0], point, s, intervals, digits)
+        return cell_text(factor, point, s, intervals, digits)
 
-    return cell
-
-
-@dataclass(frozen=True)
-class Point:
-    """mean, low, high: NaN where there is no common flight. flights, seeds: in the mean. ended: flights that ended
-    well, of trials. lost: outcome -> number of the others. method: of the interval. invalid: why there was nothing to
-    fly."""
-
-    mean: float = math.nan
-    low: float = math.nan
-    high: float = math.nan
-    flights: int = 0
-    seeds: int = 0
-    ended: int = 0
-    trials: int = 0
-    lost: Mapping[str, int] = field(default_factory=dict)
-    method: str = "none"
-    invalid: str = ""
-
-    @property
-    def is_shown(self) -> bool:
-        return math.isfinite(self.mean)
+    table = error_table(rows, metric, baseline=baseline, confidence=confidence, cell=cell)
+    return replace(table, rows=table.rows[table.head :], head=0)

@@ -3,7 +3,7 @@
     quadexp table RESULTS --rows trajectory,speed --columns controller --width column --out table.tex
 
 Without keys it is the error table, conditions down and contestants across. With keys, each cell is the mean over the
-common flights of that place, as in a figure (view.py). Bold and stars are those of the error table (significance.py),
+common flights of that place, as in a figure (places.py). Bold and stars are those of the error table (significance.py),
 where a cell is one contestant in one condition.
 """
 
@@ -13,20 +13,19 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
 from quadexp.names import distinct
 from quadexp.parts.schema import of_contestant
-from quadexp.plugins.page.paper_cells import Intervals, cell_text, compact_cell
-from quadexp.plugins.page.view import FLOWN, SUCCESS, Place, checked_keys, points, value_text
-from quadexp.report.frame import SweepFrame, setting_text, with_unit
+from quadexp.plugins.page.paper_cells import Intervals, cell_text, compact_table
+from quadexp.plugins.page.places import SUCCESS, Place, points, shown_column
+from quadexp.plugins.page.view import FLOWN, checked_keys, value_text
+from quadexp.report.frame import SweepFrame, is_number, setting_text, with_unit
 from quadexp.report.metrics import metric_of
-from quadexp.report.pairing import condition_of, contestant_of, grouped
+from quadexp.report.pairing import condition_of, contestant_of
 from quadexp.report.statistics import Statistic, compute_statistics
 from quadexp.report.table import Table
-from quadexp.report.tables import error_table
 from quadexp.report.text import shown
 
 
@@ -46,41 +45,37 @@ def paper_table(
     Raises UsageError for a key that is none, and a name of nothing in the table."""
     if intervals == "pm" and metric == SUCCESS:
         raise UsageError("--intervals pm: the interval of a share is not symmetric: give brackets")
-    if rows is None and columns is None and metric != SUCCESS:
-        table = error_table(frame.rows, metric, **_options(frame), cell=compact_cell(intervals, digits))
-        return _named(replace(table, rows=table.rows[table.head :], head=0), names, metric)
-    down, across = _chosen(frame, rows, columns)
-    others = [key for key in frame.swept if key not in ("seed", *down, *across)]
-    keys = [*down, *across]
+    baseline = frame.record.get("baseline", "nominal_mpc")
     confidence = float(frame.record.get("confidence", 0.95))
-    points_of = points(frame, keys, metric, others=others, confidence=confidence)
-    single = {} if metric == SUCCESS else _statistics(frame, keys, metric)
+    if rows is None and columns is None and metric != SUCCESS:
+        return _named(compact_table(frame.rows, metric, baseline, confidence, intervals, digits), names, metric)
+    down, across = _chosen(frame, rows, columns)
+    keys = [*down, *across]
+    others = [key for key in frame.swept if key not in ("seed", *keys)]
+    single: dict[Place, Statistic] = {}
+    title = "share of completed flights"
     factor, unit = shown(metric)
+    if metric != SUCCESS:
+        single = _statistics(
+            frame, keys, compute_statistics(frame.rows, metrics=(metric,), baseline=baseline, confidence=confidence)
+        )
+        title = metric_of(metric).title + (f" ({unit})" if unit else "")
     cells = {}
-    for place, point in points_of.items():
+    for place, point in points(frame, keys, metric, others=others, confidence=confidence).items():
         cells[place] = cell_text(factor, point, single.get(place), intervals, digits)
     n = len(down)
-    lines = distinct(place[:n] for place in cells)
-    heads = distinct(place[n:] for place in cells)
-    title = "share of completed flights" if metric == SUCCESS else metric_of(metric).title + f" ({unit})" * bool(unit)
-    notes = [*(f"mean over {key}: {', '.join(map(str, frame.values(key)))}" for key in others)]
+    columns_of = distinct(place[n:] for place in cells)
+    lines = []
+    for line in distinct(place[:n] for place in cells):
+        texts = [cells.get((*line, *column), "-") for column in columns_of]
+        lines.append([*map(value_text, down, line), *texts])
+    heads = [with_unit(key.rpartition(".")[2].replace("_", " "), key) for key in down]
+    heads += [", ".join(map(_text, across, column)) for column in columns_of]
+    notes = [f"mean over {key}: {', '.join(map(str, frame.values(key)))}" for key in others]
     if any(cell.endswith("*") for cell in cells.values()):
-        notes.append(f"*: significantly different from {_options(frame)['baseline']}")
-    body = []
-    for line in lines:
-        labels = [value_text(key, value) for key, value in zip(down, line, strict=True)]
-        body.append([*labels, *(cells.get(line + head, "-") for head in heads)])
-    head = [", ".join(_text(key, value) for key, value in zip(across, head, strict=True)) for head in heads]
-    left_columns = frozenset(
-        i for i, key in enumerate(down) if not all(isinstance(v, (int, float)) for v in frame.values(key))
-    )
-    columns = [*(with_unit(key.rpartition(".")[2].replace("_", " "), key) for key in down), *head]
-    return _named(Table(columns, body, title, left=left_columns, over=title, beside=n, notes=notes), names, metric)
-
-
-def _options(frame: SweepFrame) -> dict[str, Any]:
-    """Baseline and confidence of the results."""
-    return {"baseline": frame.record.get("baseline", "nominal_mpc"), "confidence": frame.record.get("confidence", 0.95)}
+        notes.append(f"*: significantly different from {baseline}")
+    left = frozenset(i for i, key in enumerate(down) if not all(map(is_number, frame.values(key))))
+    return _named(Table(heads, lines, title, left=left, over=title, beside=n, notes=notes), names, metric)
 
 
 def _chosen(
@@ -88,44 +83,30 @@ def _chosen(
 ) -> tuple[list[str], list[str]]:
     """Keys down and across. A swept setting of the controller that is in neither goes across, or else down: a mean over
     two controllers would be the error of neither."""
-    down = checked_keys(frame, rows or ())
-    across = checked_keys(frame, columns or ())
-    twice = []
-    for key in (*down, *across):
-        if (*down, *across).count(key) > 1:
-            twice.append(key)
-    if twice:
-        raise UsageError(f"{twice[0]}: stands twice among --rows and --columns")
+    down, across = checked_keys(frame, rows=rows, columns=columns)
     free = [key for key in frame.swept if key not in ("seed", *down, *across)]
     who = [key for key in free if of_contestant(key)]
     course = [key for key in free if not of_contestant(key)]
-    if columns is None:
-        across += who or ["controller"] * ("controller" not in down)
-        down = down or course
-    else:
+    if columns is not None:
         down += who
+    elif who or "controller" not in down:
+        across += who or ["controller"]
     down = down or course or ["trajectory"]
     return down, across or [next(key for key in FLOWN if key not in down)]
 
 
-def _statistics(frame: SweepFrame, keys: Sequence[str], metric: str) -> dict[Place, Statistic]:
+def _statistics(frame: SweepFrame, keys: Sequence[str], statistics: Sequence[Statistic]) -> dict[Place, Statistic]:
     """The statistic of each place that is one contestant in one condition."""
-    every = compute_statistics(frame.rows, metrics=(metric,), **_options(frame))
-    by_flight = {}
-    for s in every:
-        by_flight[s.contestant, s.plant, s.vehicle, s.trajectory, str(s.speed), s.setting] = s
-    columns = [frame.controllers(keys) if key == "controller" else frame.column(key) for key in keys]
-    flown = grouped((place, i) for i, place in enumerate(zip(*columns, strict=True)))
-    statistics = {}
-    for place, numbers in flown.items():
-        asked = set()
-        for i in numbers:
-            condition = condition_of(frame.rows[i])
-            speed = math.nan if condition.speed is None else condition.speed
-            asked.add((contestant_of(frame.rows[i]), *condition[:3], str(speed), condition.setting))
-        if len(asked) == 1 and (statistic := by_flight.get(asked.pop())) is not None:
-            statistics[place] = statistic
-    return statistics
+    by_flight: dict[Place, Statistic] = {}
+    for s in statistics:
+        speed = None if math.isnan(s.speed) else s.speed
+        by_flight[s.contestant, (s.plant, s.vehicle, s.trajectory, speed, s.setting)] = s
+    columns = [shown_column(frame, key, keys) for key in keys]
+    of_place: dict[Place, set[Place]] = {}
+    for row, *place in zip(frame.rows, *columns, strict=True):
+        of_place.setdefault(tuple(place), set()).add((contestant_of(row), condition_of(row)))
+    single = {place: by_flight.get(flown.pop()) for place, flown in of_place.items() if len(flown) == 1}
+    return {place: statistic for place, statistic in single.items() if statistic is not None}
 
 
 def _text(key: str, value: object) -> str:
@@ -139,14 +120,12 @@ def _text(key: str, value: object) -> str:
 
 def _named(table: Table, names: Mapping[str, str], metric: str) -> Table:
     """The table with other texts: for the metric, a whole heading or label, or a word of one."""
-    used: set[str] = set()
+    used = {metric}
 
     def said(text: str) -> str:
         for name, replacement in names.items():
-            whole = rf"(?<![\w.]){re.escape(name)}(?![\w.])"
-            if re.search(whole, text):
-                used.add(name)
-                text = re.sub(whole, replacement.replace("\\", r"\\"), text)
+            text, n = re.subn(rf"(?<![\w.]){re.escape(name)}(?![\w.])", replacement.replace("\\", r"\\"), text)
+            used.update([name] * n)
         return text
 
     n = table.beside
@@ -157,7 +136,7 @@ def _named(table: Table, names: Mapping[str, str], metric: str) -> Table:
     rows = [[*map(said, row[:n]), *row[n:]] for row in table.rows]
     over = names.get(metric, said(table.over))
     for name in names:
-        if name not in used | {metric}:
+        if name not in used:
             known = [*table.columns, *(cell for row in table.rows for cell in row[:n] if cell), metric]
             raise UsageError(f"--label {name}: no key or value of this table{suggestion(name, distinct(known))}")
     return replace(table, columns=columns, rows=rows, over=over, title=over, notes=notes)

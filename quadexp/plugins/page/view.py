@@ -6,104 +6,34 @@ Keys are chosen by what was swept where nobody says:
     two keys       the longer one is x, the other one lines, or panels beside the controllers; and a heat map of both
     more           the longest one is x, the next one lines, or a panel for each; panels of all values of the others
 
-A place is one value of every key that the figure shows (x, lines, panels). Its mean is over the common flights, by the
-one rule of every table (pairing.py): places that differ in keys of the controller stand beside each other, and are over
-the flights that all of them completed. The settings of who flies are never averaged: they have lines or panels.
-Settings of the world that the figure does not show are averaged, seed by seed:
-
-    mean      over the seeds, of the mean over the other settings of that seed
-    interval  of the mean over the seeds, as in tables (inference.mean_interval); of a share, where each flight has a
-              seed of its own
-
-A figure shows every panel, or says which it leaves out.
+A place is one value of every key that the figure shows (x, lines, panels), its number that of places.py. The settings
+of who flies are never averaged: they have lines or panels. A figure shows every panel, or says which it leaves out.
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, Literal
-
-import numpy as np
 
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
 from quadexp.names import distinct
 from quadexp.parts.cells import OPTION
 from quadexp.parts.schema import of_contestant
-from quadexp.plugins.page.paper_cells import Point
+from quadexp.plugins.page.places import SUCCESS, Place, Point, points, shown_column
 from quadexp.report.frame import ALIASES, SweepFrame, is_metric, is_number, setting_text, with_unit
-from quadexp.report.inference import mean_interval, success_interval
 from quadexp.report.metrics import metric_of
-from quadexp.report.pairing import common, grouped, is_flown, is_invalid, seed_means
 from quadexp.report.text import count, listed, plain
 from quadexp.report.text import shown as unit_shown
 
 Kind = Literal["lines", "heat"]
-Place = tuple[Any, ...]  # a value of each key that is shown
-SUCCESS = "success"  # the share of completed flights
 WHO = ("controller", "model")
 FLOWN = (*WHO, "trajectory")
 MOST_LINES = 12  # in a panel, before a key makes panels instead
 MOST_VALUES = 6  # of a key that is averaged, named in a note
-
-
-def points(
-    frame: SweepFrame, keys: Sequence[str], y: str, *, others: Sequence[str] = (), confidence: float = 0.95
-) -> dict[Place, Point]:
-    """Place -> point, in the order of the rows. keys: what a place has a value of. y: a number of the flights, or
-    "success". others: keys that vary beside them, which are averaged. A flight without a value of a key has no place.
-    """
-    columns = [shown_column(frame, key, keys) for key in keys]
-    others_columns = [frame.column(key) for key in others]
-    values = [1.0] * len(frame.rows) if y == SUCCESS else frame.column(y)
-    flights = []
-    for i, row in enumerate(frame.rows):
-        flights.append((tuple(column[i] for column in others_columns), row["seed"]))
-    well = [is_flown(row) and value is not None for row, value in zip(frame.rows, values, strict=True)]
-    places = grouped((place, i) for i, place in enumerate(zip(*columns, strict=True)) if None not in place)
-    beside: dict[Place, dict[Place, set[Any]]] = {}  # what is flown -> place -> completed flights
-    for place, numbers in places.items():
-        flown = tuple(value for value, key in zip(place, keys, strict=True) if not of_contestant(key))
-        broken = set()
-        for i in numbers:
-            if not well[i] and not is_invalid(frame.rows[i]):
-                broken.add(flights[i])
-        beside.setdefault(flown, {})[place] = {flights[i] for i in numbers if well[i]} - broken
-    used = {place: shared for ended in beside.values() for compared, shared in [common(ended)] for place in compared}
-    result = {}
-    for place, numbers in places.items():
-        rows = [frame.rows[i] for i in numbers]
-        outcomes = Counter(row["outcome"] for row in rows if not is_invalid(row))
-        trials = outcomes.total()
-        completed = outcomes.pop("ok", 0)
-        point = Point(ended=completed, trials=trials, lost=outcomes, invalid="" if trials else str(rows[0]["cause"]))
-        if y == SUCCESS:
-            single = len({row["seed"] for row in rows}) == len(rows)
-            low, high = success_interval(completed, trials, confidence) if single else (math.nan, math.nan)
-            share = completed / trials if trials else math.nan
-            point = replace(point, mean=share, low=low, high=high, flights=trials, method="Clopper-Pearson")
-        elif place in used:
-            errors = grouped((flights[i], float(values[i])) for i in numbers if well[i] and flights[i] in used[place])
-            means = seed_means({flight: np.mean(several) for flight, several in errors.items()})
-            low, high, method = mean_interval(means, confidence, least=0.0 if min(means) >= 0 else -math.inf)
-            limits: dict[str, Any] = {"mean": float(means.mean()), "low": low, "high": high, "method": method}
-            point = replace(point, **limits, flights=sum(map(len, errors.values())), seeds=len(means))
-        result[place] = point
-    return result
-
-
-def shown_column(frame: SweepFrame, key: str, keys: Sequence[str]) -> list[Any]:
-    """The column of a key as a figure of these keys shows it: a flight without a checkpoint has an empty one, and the
-    name of a controller has no compensation in it that is a key of its own."""
-    if key == "controller":
-        return frame.controllers(keys)
-    if key == "model":
-        return [row["model"] or "" for row in frame.rows]
-    return frame.column(key)
 
 
 @dataclass(frozen=True)
@@ -173,40 +103,35 @@ class View:
 
         Raises UsageError for a name of none of these."""
         known = {self.y, *self.keys, *self._texts()}
-        for name in names:
-            if name not in known:
-                raise UsageError(f"--label {name}: no key or value of this figure{suggestion(name, sorted(known))}")
+        _check_known(names, known, "--label", "no key or value of this figure")
         return replace(self, names=names, x=replace(self.x, names=names))
 
     def coloured(self, colours: Mapping[str, str]) -> View:
         """The same with other colours for values of keys, such as {"gp_mpc": "#004fc3"}.
 
         Raises UsageError for a value of none of the lines."""
-        known = self._texts()
-        for name in colours:
-            if name not in known:
-                raise UsageError(f"--color {name}: no value of this figure{suggestion(name, sorted(known))}")
+        _check_known(colours, self._texts(), "--color", "no value of this figure")
         return replace(self, colours=colours)
 
     def _texts(self) -> set[str]:
-        values = set()
+        texts = {str(value) for value in self.alone.values()}
         for place in self.places:
-            for key, v in zip(self.keys, place, strict=True):
-                values.add(value_text(key, v))
-        return values | set(map(str, self.alone.values()))
+            texts |= set(map(value_text, self.keys, place))
+        return texts
+
+    def of_line(self, facet: Place, line: Place) -> dict[Any, Point]:
+        """x -> point, of a line in a panel."""
+        return {place[-1]: point for place, point in self.places.items() if place[:-1] == (*facet, *line)}
 
     def parts(self) -> dict[str, View]:
         """Name of a file -> the view of one panel, of which it is the heading."""
-        n = len(self.facet)
         name = f"{self.y}_{self.file_name}"
-        if not n:
+        if not self.facet:
             return {name: self}
         parts = {}
         for facet in self.panels:
-            places = {}
-            for place, point in self.places.items():
-                if place[:n] == facet:
-                    places[place[n:]] = point
+            n = len(facet)
+            places = {place[n:]: point for place, point in self.places.items() if place[:n] == facet}
             heading = self.title(self.facet, facet)
             if any(point.is_shown for point in places.values()):
                 words = "_".join(heading.replace(",", "").split())
@@ -258,22 +183,26 @@ class View:
     @property
     def caption(self) -> str:
         """Who flew, and what the means and bars are, in a line."""
-        return "; ".join(filter(None, (self.title(tuple(self.alone), tuple(self.alone.values())), self._bars)))
+        who = self.title(tuple(self.alone), tuple(self.alone.values()))
+        return "; ".join(filter(None, (who, self._bars)))
 
     @property
     def _bars(self) -> str:
-        shown = [point for point in self.places.values() if point.is_shown]
+        points = self.places.values()
+        interval = f"; bars: its {100 * self.confidence:g} % interval"
         if self.y == SUCCESS:
-            exact = any(math.isfinite(point.low) for point in self.places.values())
-            bars = f"; bars: its {100 * self.confidence:g} % interval (Clopper-Pearson)" if exact else ""
-            return f"share of flights{bars}"
-        seeds = sorted({point.seeds for point in shown if point.seeds})
+            exact = any(math.isfinite(point.low) for point in points)
+            return "share of flights" + (f"{interval} (Clopper-Pearson)" if exact else "")
+        seeds = sorted({point.seeds for point in points if point.seeds})
         if not seeds:  # of other means than those of a sweep
             return ""
-        span = f"{seeds[0]} to {seeds[-1]} seeds" if len(seeds) > 1 else count(seeds[0], "seed")
-        over = "one flight each" if seeds == [1] and not self.others else f"mean over {span}"
-        known = self.kind == "lines" and any(point.method == "t" for point in shown)
-        return over + (f"; bars: its {100 * self.confidence:g} % interval (Student's t)" if known else "")
+        over = f"mean over {count(seeds[0], 'seed')}"
+        if len(seeds) > 1:
+            over = f"mean over {seeds[0]} to {seeds[-1]} seeds"
+        elif seeds == [1] and not self.others:
+            over = "one flight each"
+        known = self.kind == "lines" and any(point.method == "t" for point in points)
+        return over + (f"{interval} (Student's t)" if known else "")
 
     def title(self, keys: Sequence[str], values: Place) -> str:
         """Such as "circle, 8 m/s, payload 0.1 kg"."""
@@ -303,20 +232,12 @@ def view(
 
     Raises UsageError for a key that is none, a key that is given twice, or where nothing can be drawn.
     """
-    metrics = [*filter(is_metric, frame.names), SUCCESS]
+    check_metric(frame, y, "--y")
     confidence = float(frame.record.get("confidence", 0.95))
-    if y not in metrics:
-        raise UsageError(f"--y {y}: no number of a flight{suggestion(y, metrics)}")
     if x is None and kind is None and not by and not facet:
         return automatic(frame, y, confidence)[0]
-    given_x = checked_keys(frame, [x] if x else [])
-    given_by = checked_keys(frame, by or [])
-    given_facet = checked_keys(frame, facet or [])
-    stated = [*given_x, *given_by, *given_facet]
-    for key in stated:
-        if stated.count(key) > 1:
-            raise UsageError(f"{key}: stands twice among --x, --by and --facet")
-    free = _beside(frame, stated)
+    given_x, given_by, given_facet = checked_keys(frame, x=[x] if x else [], by=by, facet=facet)
+    free = _beside(frame, [*given_x, *given_by, *given_facet])
     x = given_x[0] if given_x else _longest(frame, free)
     free = [key for key in free if key != x]
     who = [key for key in free if of_contestant(key)]
@@ -396,10 +317,7 @@ def _notes(
         if len(values) == 1 and key not in ("seed", *FLOWN):
             notes.append(f"{key} is {value_text(key, values[0])} in all flights that have it")
         column = shown_column(frame, key, keys)
-        lacking = []
-        for row, value in zip(frame.rows, column, strict=True):
-            if value is None:
-                lacking.append(row["controller"])
+        lacking = [row["controller"] for row, value in zip(frame.rows, column, strict=True) if value is None]
         if lacking:
             names = listed(distinct(lacking))
             notes.append(f"not drawn: {count(len(lacking), 'flight')} without {key} ({names})")
@@ -407,7 +325,8 @@ def _notes(
         texts = [value_text(key, value) for value in frame.values(key)]
         rest = f", ... ({len(texts)} values)" if len(texts) > MOST_VALUES else ""
         notes.append(f"mean over {key}: {', '.join(texts[:MOST_VALUES])}{rest}")
-    trials, ended = (sum(getattr(point, name) for point in places.values()) for name in ("trials", "ended"))
+    trials = sum(point.trials for point in places.values())
+    ended = sum(point.ended for point in places.values())
     if y != SUCCESS and ended < trials:
         notes.append(f"{trials - ended} of {trials} flights were not completed: marked k/n where k of n were")
     if invalid := sum(bool(point.invalid) for point in places.values()):
@@ -420,15 +339,25 @@ def _names(keys: Sequence[str]) -> list[str]:
     return [key for key in keys if key in FLOWN or key.endswith(f".{OPTION}")]
 
 
-def checked_keys(frame: SweepFrame, keys: Sequence[str]) -> list[str]:
-    """The full names of keys; UsageError for what is none."""
-    keys = [ALIASES.get(key, key) for key in keys]
-    for key in keys:
+def check_metric(frame: SweepFrame, name: str, option: str) -> None:
+    """UsageError for what is no number of a flight."""
+    metrics = [*filter(is_metric, frame.names), SUCCESS]
+    if name not in metrics:
+        raise UsageError(f"{option} {name}: no number of a flight{suggestion(name, metrics)}")
+
+
+def checked_keys(frame: SweepFrame, **options: Sequence[str] | None) -> list[list[str]]:
+    """The full names of the keys of each option; UsageError for what is no key, or stands twice."""
+    full = [[ALIASES.get(key, key) for key in keys or ()] for keys in options.values()]
+    every = [key for keys in full for key in keys]
+    for key in every:
         if is_metric(key):
             raise UsageError(f"{key}: is a result of a flight, not a setting: it can be --y")
         if not frame.has(key):
             raise UsageError(f"{key}: no such key{suggestion(key, frame.names, frame.swept)}")
-    return keys
+        if every.count(key) > 1:
+            raise UsageError(f"{key}: stands twice among {listed([f'--{option}' for option in options])}")
+    return full
 
 
 def _longest(frame: SweepFrame, keys: Sequence[str]) -> str:
@@ -442,3 +371,10 @@ def value_text(key: str, value: Any) -> str:
     if key == "model":
         return str(value).rstrip("/").rpartition("/")[2]
     return plain(value)
+
+
+def _check_known(names: Iterable[str], known: set[str], option: str, what: str) -> None:
+    """UsageError for a name that is not known."""
+    for name in names:
+        if name not in known:
+            raise UsageError(f"{option} {name}: {what}{suggestion(name, sorted(known))}")

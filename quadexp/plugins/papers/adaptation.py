@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from quadexp.log.schema import Flight
 from quadexp.physics.state import root_mean_square
@@ -26,7 +27,7 @@ def draw(rows: Rows, out: Path) -> Drawn:
     """Table and figure, of the flights whose vehicle changes."""
     flights: dict[str, dict[str, Flight]] = {}
     for row, flight in flown(without_corridor(rows), out):
-        if flight.metadata["config"]["plant"].get("schedule"):
+        if _schedule(flight):
             flights.setdefault(row["plant"], {}).setdefault(row["controller"], flight)
     if not flights:
         return {}, {}
@@ -38,21 +39,31 @@ def adaptation_table(flights: Mapping[str, Mapping[str, Flight]]) -> str:
     lines = []
     for plant, by_controller in flights.items():
         for name, flight in by_controller.items():
-            t = flight.t - change_time(flight)
-            error = 1e3 * position_error(flight)
-            cells = []
-            for low, high in WINDOWS:
-                inside = error[(t >= low) & (t < high)]
-                cells.append(f"{root_mean_square(inside):.2f}" if len(inside) else "-")
-            lines.append([TITLES.get(plant, plant), name, *cells, flight.outcome])
-    heads = ["change", "controller", *(f"{low:g}..{high:g} s" for low, high in WINDOWS), "outcome"]
+            windows = [_rmse(flight, low, high) for low, high in WINDOWS]
+            lines.append([TITLES.get(plant, plant), name, *windows, flight.outcome])
+    windows = [f"{low:g}..{high:g} s" for low, high in WINDOWS]
+    heads = ["change", "controller", *windows, "outcome"]
     left_columns = frozenset({0, 1, len(heads) - 1})
     return Table(heads, lines, "RMSE (mm) in windows of time from the change", left=left_columns).markdown()
 
 
+def _rmse(flight: Flight, low: float, high: float) -> str:
+    """RMSE (mm) in a window of time from the change (s)."""
+    t = flight.t - change_time(flight)
+    error = position_error(flight)[(t >= low) & (t < high)]
+    if len(error):
+        return f"{1e3 * root_mean_square(error):.2f}"
+    return "-"
+
+
+def _schedule(flight: Flight) -> Sequence[Mapping[str, Any]]:
+    """The changes of the vehicle."""
+    return flight.metadata["config"]["plant"].get("schedule", ())
+
+
 def change_time(flight: Flight) -> float:
     """When the vehicle of a flight changes first (s)."""
-    return min(float(change["t"]) for change in flight.metadata["config"]["plant"]["schedule"])
+    return min(float(change["t"]) for change in _schedule(flight))
 
 
 @styled
@@ -67,7 +78,7 @@ def adaptation_figure(flights: Mapping[str, Mapping[str, Flight]]) -> Figure:
     for panel, (plant, by_controller) in zip(panels, flights.items(), strict=True):
         for name, flight in by_controller.items():
             panel.plot(flight.t, 1e3 * position_error(flight), label=name, linewidth=1.3, **look[name].line())
-        change = change_time(next(iter(by_controller.values())))
+        change = change_time(flight)
         panel.axvline(change, color="#000000", linewidth=0.9, linestyle=":")
         panel.text(change, 0.98, " change", transform=panel.get_xaxis_transform(), va="top", fontsize=8)
         panel.set(yscale="log", title=TITLES.get(plant, plant), xlabel="time (s)", ylim=(0.05, 1000))

@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 from quadexp.names import distinct
 from quadexp.plugins.drawing.style import Figure
 from quadexp.plugins.page.draw import figure_of
-from quadexp.plugins.page.paper_cells import Point
-from quadexp.plugins.page.view import Axis, Place, View
+from quadexp.plugins.page.places import Place, Point
+from quadexp.plugins.page.view import Axis, View
 from quadexp.report.pairing import Rows, contestant_labels, grouped
 from quadexp.report.paper import Drawn
 from quadexp.report.statistics import Statistic, compute_statistics
@@ -52,51 +53,59 @@ def means_by_place(rows: Rows, first: First, order: Sequence[str] = ()) -> Means
     before the others."""
     statistics = compute_statistics(rows, metrics=("mean_error",))
     courses = course_labels((s.trajectory, s.setting) for s in statistics)
+    contestants = grouped((s.plant, s.contestant) for s in statistics)
     # By plant: the same controller has checkpoints of its own on another one.
-    flown = grouped((s.plant, s.contestant) for s in statistics)
-    told_apart = {plant: contestant_labels(contestants) for plant, contestants in flown.items()}
-    labels = [told_apart[s.plant][s.contestant] for s in statistics]
-    speeds: dict[tuple[str, str], dict[float, dict[str, Statistic]]] = {}
-    for s, label in zip(statistics, labels, strict=True):
-        world = s.plant.partition("/")[2] or "clean"
-        at = s.plant if first == "plant" else world, courses[s.trajectory, s.setting]
-        speeds.setdefault(at, {}).setdefault(s.speed, {})[label] = s
-    places = {(*at, speed): of_speed[speed] for at, of_speed in speeds.items() for speed in sorted(of_speed)}
-    return Means(first, distinct([*(name for name in order if name in labels), *labels]), places)
+    labels_on = {plant: contestant_labels(flown) for plant, flown in contestants.items()}
+    places: dict[tuple[str, str, float], dict[str, Statistic]] = {}
+    labels = []
+    for s in statistics:
+        where = s.plant if first == "plant" else s.plant.partition("/")[2] or "clean"
+        label = labels_on[s.plant][s.contestant]
+        places.setdefault((where, courses[s.trajectory, s.setting], s.speed), {})[label] = s
+        labels.append(label)
+    lines = distinct(place[:2] for place in places)
+    in_order = sorted(places, key=lambda place: (lines.index(place[:2]), place[2]))
+    stated = [name for name in order if name in labels]
+    return Means(first, distinct([*stated, *labels]), {place: places[place] for place in in_order})
 
 
 def means_table(means: Means, title: str, *, bold: bool = False) -> Table:
     """A line a place, a column a controller. bold: mark the best of a line (winner.py)."""
-
-    def cell(s: Statistic | None) -> str:
-        """The mean, or how many of its flights were not completed."""
-        if s is None:
-            return ""
-        if s.failures:
-            return ", ".join(f"{count} of {s.seeds} {outcome}" for outcome, count in s.failures.items())
-        text = f"{1e3 * s.mean:.0f}" if s.mean >= 0.1 else f"{1e3 * s.mean:.3g}"
-        return f"**{text}**" if bold and s.best else text
-
     lines = []
-    for (place, course, speed), by_label in means.places.items():
-        lines.append([place, course, speed_text(speed, ""), *(cell(by_label.get(label)) for label in means.labels)])
+    for (where, course, speed), by_label in means.places.items():
+        cells = []
+        for label in means.labels:
+            statistic = by_label.get(label)
+            cells.append(_cell(statistic, bold) if statistic else "")
+        lines.append([where, course, speed_text(speed, ""), *cells])
     return Table([means.first, "trajectory", "m/s", *means.labels], lines, title, left=frozenset({0, 1}))
+
+
+def _cell(s: Statistic, bold: bool) -> str:
+    """The mean, or how many of its flights were not completed."""
+    if s.failures:
+        return ", ".join(f"{count} of {s.seeds} {outcome}" for outcome, count in s.failures.items())
+    text = f"{1e3 * s.mean:.0f}" if s.mean >= 0.1 else f"{1e3 * s.mean:.3g}"
+    return f"**{text}**" if bold and s.best else text
 
 
 def means_figure(means: Means) -> Figure:
     """Over the worlds, a panel for each course and speed; or over the speed, a panel for each plant and course."""
     places: dict[Place, Point] = {}
     for label in means.labels:
-        for (place, course, speed), by_label in means.places.items():
-            if (s := by_label.get(label)) is not None:
-                at = (course, speed, label, place) if means.first == "world" else (place, course, label, speed)
-                mean, low, high = (math.nan,) * 3 if s.failures else (s.mean, s.low, s.high)
-                places[at] = Point(mean, low, high, s.n, s.n, *s.flown, method=s.interval)
-    worlds = dict.fromkeys(at[0] for at in means.places)
-    speeds = sorted({at[2] for at in means.places})
-    x = Axis("world", tuple(worlds), "group")
-    facet = ("trajectory", "trajectory.speed")
-    if means.first == "plant":
-        x = Axis.of("trajectory.speed", speeds)
+        for (where, course, speed), by_label in means.places.items():
+            if label not in by_label:
+                continue
+            s = by_label[label]
+            point = Point(s.mean, s.low, s.high, s.n, s.n, *s.flown, method=s.interval)
+            if s.failures:
+                point = replace(point, mean=math.nan, low=math.nan, high=math.nan)
+            at = (course, speed, label, where) if means.first == "world" else (where, course, label, speed)
+            places[at] = point
+    if means.first == "world":
+        facet = ("trajectory", "trajectory.speed")
+        x = Axis("world", tuple(distinct(where for where, _, _ in means.places)), "group")
+    else:
         facet = ("plant", "trajectory")
+        x = Axis.of("trajectory.speed", sorted({speed for _, _, speed in means.places}))
     return figure_of(View("lines", "mean_error", x, ("controller",), facet, places=places))

@@ -22,7 +22,7 @@ from quadexp.parts.settings import Triple, key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, POSITION, VELOCITY
-from quadexp.plugins.worlds.eskf import D_ATTITUDE, D_POSITION, D_VELOCITY
+from quadexp.plugins.worlds.error_state import D_ATTITUDE, D_POSITION, D_VELOCITY
 from quadexp.plugins.worlds.inertial import OUTAGE, RATE, SHARE, Aid, InertialSensors, Innovation
 
 PLACES = [*D_POSITION, *D_VELOCITY]

@@ -88,7 +88,7 @@ class Aid:
     rate: Hz. delay: s. dropout: share of fixes lost. outage: mean length (s). size: numbers of a fix. noise: standard
     normal numbers for it. deviations: standard deviations, (s,).
     measure: of the true state x (13,), noise and deviations: a fix (size,). compare: of the nominal state (see
-    eskf.py) and a fix: innovations, whose errors are independent of each other.
+    error_state.py) and a fix: innovations, whose errors are independent of each other.
     first_guess: standard deviations of the errors that the first fixes leave, by index of the error state.
     """
 

@@ -15,7 +15,7 @@ from quadexp.parts.settings import key, keyed
 from quadexp.physics.expression import Expression
 from quadexp.physics.rotation import exponential, product
 from quadexp.physics.state import ATTITUDE, POSITION
-from quadexp.plugins.worlds.eskf import D_ATTITUDE, D_POSITION, D_VELOCITY
+from quadexp.plugins.worlds.error_state import D_ATTITUDE, D_POSITION, D_VELOCITY
 from quadexp.plugins.worlds.inertial import OUTAGE, RATE, SHARE, Aid, InertialSensors, Innovation
 from quadexp.plugins.worlds.rotation_vector import conjugate, logarithm
 

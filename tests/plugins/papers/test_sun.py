@@ -9,19 +9,16 @@ from quadexp.log.schema import Flight
 from quadexp.parts.compose import compose, session
 from quadexp.physics.state import STATE_COLUMNS
 from quadexp.plugins.papers.ellipse import Ellipse as ReferenceEllipse
-from quadexp.plugins.papers.sun.data import ellipses, published
-from quadexp.plugins.papers.sun.report import (  # fmt: skip
+from quadexp.plugins.papers.sun.conditions import (
     INFEASIBLE_SET,
     RECORDED_AFTER,
     TITLES,
     Condition,
-    compared,
     conditions,
     logged_rmse,
-    overview,
-    reproduced,
-    sun_table,
 )
+from quadexp.plugins.papers.sun.data import ellipses, published
+from quadexp.plugins.papers.sun.report import compared, overview, reproduced, sun_table
 
 ELLIPSE = ["vehicle=sun", "plant=sun", "trajectory=ellipse"]
 

@@ -8,8 +8,9 @@ from scipy.stats import chi2
 
 from quadexp.errors import UsageError
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY
-from quadexp.plugins.worlds import eskf
-from quadexp.plugins.worlds.eskf import KNOWN, Navigation, correction, prediction
+from quadexp.plugins.worlds import error_state
+from quadexp.plugins.worlds.error_state import N_KNOWN, correction, prediction
+from quadexp.plugins.worlds.eskf import Navigation
 from quadexp.plugins.worlds.gnss import ImuGnss
 from quadexp.plugins.worlds.motion_capture import ImuMocap
 from quadexp.world.effect import Clock
@@ -35,7 +36,7 @@ def ravel(value: ca.DM) -> np.ndarray:
 
 
 def known_of(nominal: np.ndarray, P: np.ndarray) -> np.ndarray:
-    return np.r_[nominal, ravel(eskf.packed(ca.DM(P)))]
+    return np.r_[nominal, ravel(error_state.packed(ca.DM(P)))]
 
 
 @pytest.mark.parametrize("h", [0.002, 0.02])
@@ -84,7 +85,7 @@ def test_a_correction_is_the_plain_filters(name):
         found = ravel(correction(aid)(1, known_of(nominal, P), fix, deviations))
         s, expected = plain_ekf.update(plain_ekf.unpack(nominal), P, innovation, variances)
         change = plain_ekf.apart(plain_ekf.unpack(nominal), s)
-        away = plain_ekf.apart(s, plain_ekf.unpack(found[: KNOWN.stop][:16]))
+        away = plain_ekf.apart(s, plain_ekf.unpack(found[:N_KNOWN][:16]))
         assert np.abs(away).max() < 1e-3 * np.abs(change).max()
         assert np.allclose(full(found[None, 16:])[0], expected, atol=1e-3 * np.abs(expected).max())
         assert np.array_equal(ravel(correction(aid)(0, known_of(nominal, P), fix, deviations)), known_of(nominal, P))
@@ -97,7 +98,7 @@ def test_the_covariance_turns_with_the_nominal_attitude():
     s = plain_ekf.unpack(nominal)
     after = plain_ekf.moved(s, d)
     G = plain_ekf.differences(lambda e: plain_ekf.apart(after, plain_ekf.moved(s, d + e)))
-    found = np.array(eskf.reset(ca.DM(P), ca.DM(d)).full())
+    found = np.array(error_state.reset(ca.DM(P), ca.DM(d)).full())
     away = np.abs(found - G @ P @ G.T).max()
     assert away < 1e-4 * np.abs(P).max() and np.abs(P - G @ P @ G.T).max() > 10 * away
 
@@ -254,7 +255,7 @@ def test_after_standing_the_errors_are_those_of_the_covariance(make):
         run.go(states, seed)
         start = run.at_first
         e = errors(start[None, :16], states[:1], run.bias_at_first[None])[0]
-        found.append(e @ np.linalg.solve(full(start[None, KNOWN][:, 16:])[0], e))
+        found.append(e @ np.linalg.solve(full(start[None, 16:N_KNOWN])[0], e))
     assert_in_band(np.array(found))
 
 
@@ -269,7 +270,7 @@ def test_standing_is_what_the_filter_itself_makes_of_standing(make):
     states = standing(np.arange(0, 5 + 1e-9, 1e-3))
     stood = AidedRun(make(**still, **none)).go(states, seed=3)
     at_once = AidedRun(make(**still, **none), Navigation(warm_up=5.0)).go(states[:11])
-    first = full(at_once.at_first[None, 16 : KNOWN.stop])[0]
+    first = full(at_once.at_first[None, 16:N_KNOWN])[0]
     assert np.allclose(np.diag(first), np.diag(stood.covariance[-1]), rtol=5e-3, atol=0)
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from quadexp.physics.state import RATE
-from quadexp.plugins.worlds import eskf
+from quadexp.plugins.worlds import error_state
 from quadexp.plugins.worlds.gnss import ImuGnss
 from quadexp.plugins.worlds.inertial import Aid, means, read, sample
 from quadexp.plugins.worlds.motion_capture import ImuMocap
@@ -128,7 +128,7 @@ def test_innovations_and_their_derivatives(aid):
         if k == 0:
             state[3:7] = Rotation.from_euler("y", -np.pi / 2).as_quat(scalar_first=True)
         true, error = np.r_[state[:10], rng.normal(size=6)], 1e-5 * rng.normal(size=15)
-        away = eskf.inject(ca.DM(true), ca.DM(-error))
+        away = error_state.inject(ca.DM(true), ca.DM(-error))
         assert np.allclose(seen(true, exact(state)).full(), 0, atol=1e-12)
         assert np.allclose(seen(away, exact(state)).full().ravel(), H(away).full() @ error, atol=2e-9)
 

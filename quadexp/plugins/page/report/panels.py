@@ -6,8 +6,9 @@ from quadexp.errors import UsageError
 from quadexp.plugins.drawing.style import figure_html
 from quadexp.plugins.page.document import Block, Section
 from quadexp.plugins.page.draw import figure_of
+from quadexp.plugins.page.places import SUCCESS
 from quadexp.plugins.page.report.source import Comparison
-from quadexp.plugins.page.view import SUCCESS, View, automatic
+from quadexp.plugins.page.view import View, automatic
 from quadexp.report.frame import SweepFrame
 from quadexp.report.metrics import tabled
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from quadexp.names import named
 from quadexp.plugins.aerodynamics.coefficients import THETA
 from quadexp.plugins.drawing.style import COLOURS, DASHES, GREY, Figure, entries, looks, plain_log, styled
 from quadexp.report.metrics import position_error
-from quadexp.report.pairing import Row, Rows
+from quadexp.report.pairing import Row, Rows, grouped
 from quadexp.report.paper import Drawn
 from quadexp.report.table import Table
 from quadexp.report.text import speed_text
@@ -53,28 +53,31 @@ def flown(rows: Iterable[Row], out: Path) -> list[tuple[Row, Flight]]:
 def draw(rows: Rows, out: Path) -> Drawn:
     """Figures 2-4 of the paper, at its speed and as printed (without the cone), and the table of all."""
     rows = without_corridor(rows)
-    printed = [row for row in rows if "cone=true" not in row["variant"].lower()]
-    chosen = [row for row in printed if row["trajectory"] == "lei_li_circle" or row["speed"] == PAPER_SPEED]
     all_flown = flown(rows, out)
     heights = {row["key"]: float(flight["p_z"].max()) for row, flight in all_flown}
     tables = {"expected": expected_table(rows, heights)}
-    keys = {row["key"] for row in chosen}
-    shown = [(row, flight) for row, flight in all_flown if row["key"] in keys and row["controller"] in SHOWN]
-    by_controller: dict[str, Flight] = {}
-    for row, flight in sorted(shown, key=lambda item: SHOWN.index(item[0]["controller"])):
-        by_controller.setdefault(row["controller"], flight)
-    if not by_controller:
+    by_controller: dict[str, list[Flight]] = {name: [] for name in SHOWN}
+    trajectories = []
+    for row, flight in all_flown:
+        at_its_speed = row["trajectory"] == "lei_li_circle" or row["speed"] == PAPER_SPEED
+        if at_its_speed and as_printed(row["variant"]) and row["controller"] in SHOWN:
+            by_controller[row["controller"]].append(flight)
+            trajectories.append(row["trajectory"])
+    if not trajectories:
         return tables, {}
-    first = shown[0][0]
-    title = "Example 1, rectangle at 5 m/s" if first["trajectory"] == "rectangle" else "Example 2, circle"
-    figures = {"example_path": path_figure(by_controller, title)}
-    figures["example_errors"] = running_mean_figure(by_controller, title)
-    identified = [flight for row, flight in shown if row["controller"] == "rls_feedback"]
-    if identified:
+    title = "Example 1, rectangle at 5 m/s" if trajectories[0] == "rectangle" else "Example 2, circle"
+    first = {name: flights[0] for name, flights in by_controller.items() if flights}
+    figures = {"example_path": path_figure(first, title), "example_errors": running_mean_figure(first, title)}
+    if identified := by_controller["rls_feedback"]:
         tables["identified"] = identified_table(identified)
         figures["example_induced_velocity"] = induced_velocity_figure(identified[0], f"{title}: rls_feedback")
         figures["example_parameters"] = parameter_figure(identified, f"{title}: identified coefficients")
     return tables, figures
+
+
+def as_printed(variant: str) -> bool:
+    """Whether a flight is of the law as printed, without the cone."""
+    return "cone=true" not in variant.lower()
 
 
 def expected_table(rows: Rows, heights: Mapping[str, float] | None = None) -> str:
@@ -83,27 +86,8 @@ def expected_table(rows: Rows, heights: Mapping[str, float] | None = None) -> st
     heights: key of a row -> highest altitude of its flight (m). Expected values are for the law as printed, without the
     cone.
     """
-    heights = heights or {}
-    groups: dict[tuple[Any, ...], list[Row]] = {}
-    for row in rows:
-        speed = None if row["trajectory"] == "lei_li_circle" else row["speed"]
-        groups.setdefault((row["trajectory"], speed, row["controller"], row["variant"]), []).append(row)
-    lines = []
-    for (trajectory, speed, controller, variant), group in groups.items():
-        good = np.array([row["mean_error"] for row in group if row["outcome"] == "ok"])
-        printed = "cone=true" not in variant.lower()
-        expected = dict(zip(SHOWN, EXPECTED.get((trajectory, speed), ()), strict=False)).get(controller)
-        expected = expected if printed else None
-        shown = f"{good.mean():.3f}" if len(good) else "-"
-        shown += f" +- {np.ptp(good) / 2:.3f}" if len(good) > 1 else ""
-        against = f"{100 * (good.mean() / expected - 1):+.1f} %" if len(good) and expected else ""
-        lost = [row["cause"] for row in group if row["outcome"] != "ok"]
-        ended = "ok" if not lost else f"{len(lost)} lost: {lost[0]}"
-        options = " ".join(part.rpartition(".")[2] for part in variant.split(" "))
-        reached = [heights[row["key"]] for row in group if row["outcome"] == "ok" and row.get("key") in heights]
-        highest = f"{np.mean(reached):.2f}" if reached else ""
-        case = [trajectory, speed_text(speed, ""), controller, options, str(len(group))]
-        lines.append([*case, shown, "" if expected is None else str(expected), against, highest, ended])
+    cases = grouped((_case(row), row) for row in rows)
+    lines = [[*_case_texts(case, flights), *_results(case, flights, heights or {})] for case, flights in cases.items()]
     heads = (
         "trajectory",
         "m/s",
@@ -120,6 +104,49 @@ def expected_table(rows: Rows, heights: Mapping[str, float] | None = None) -> st
     return Table(heads, lines, title, left=frozenset({0, 2, 3, 9})).markdown()
 
 
+class Case(NamedTuple):
+    """speed: m/s, None on the circle. variant: options."""
+
+    trajectory: str
+    speed: float | None
+    controller: str
+    variant: str
+
+    @property
+    def expected(self) -> float | None:
+        """Time average of ||e_xi|| (m), where it is known."""
+        errors = dict(zip(SHOWN, EXPECTED.get((self.trajectory, self.speed), ()), strict=False))
+        return errors.get(self.controller) if as_printed(self.variant) else None
+
+
+def _case(row: Row) -> Case:
+    speed = None if row["trajectory"] == "lei_li_circle" else row["speed"]
+    return Case(row["trajectory"], speed, row["controller"], row["variant"])
+
+
+def _case_texts(case: Case, flights: Rows) -> list[str]:
+    options = " ".join(part.rpartition(".")[2] for part in case.variant.split(" "))
+    return [case.trajectory, speed_text(case.speed, ""), case.controller, options, str(len(flights))]
+
+
+def _results(case: Case, flights: Rows, heights: Mapping[str, float]) -> list[str]:
+    """Error, expected error, the difference, the highest point, and the outcome."""
+    completed = [row for row in flights if row["outcome"] == "ok"]
+    lost = [row["cause"] for row in flights if row["outcome"] != "ok"]
+    ended = f"{len(lost)} lost: {lost[0]}" if lost else "ok"
+    expected = "" if case.expected is None else str(case.expected)
+    if not completed:
+        return ["-", expected, "", "", ended]
+    errors = np.array([row["mean_error"] for row in completed])
+    error = f"{errors.mean():.3f}"
+    if len(errors) > 1:
+        error += f" +- {np.ptp(errors) / 2:.3f}"
+    difference = f"{100 * (errors.mean() / case.expected - 1):+.1f} %" if case.expected else ""
+    reached = [heights[row["key"]] for row in completed if row.get("key") in heights]
+    highest = f"{np.mean(reached):.2f}" if reached else ""
+    return [error, expected, difference, highest, ended]
+
+
 def identified_table(flights: Sequence[Flight]) -> str:
     """Markdown: every coefficient's estimate at 10 s and at the end, mean and deviation over seeds, and the clips.
 
@@ -132,13 +159,15 @@ def identified_table(flights: Sequence[Flight]) -> str:
         cells = []
         for t in times:
             values = np.array([flight[name][np.searchsorted(flight.t, t - 1e-9)] for flight in flights])
-            cells.append(f"{values.mean():.4f} +- {values.std(ddof=1) if len(values) > 1 else 0.0:.4f}")
+            deviation = values.std(ddof=1) if len(values) > 1 else 0.0
+            cells.append(f"{values.mean():.4f} +- {deviation:.4f}")
         lines.append([name, f"{truth[name]:g}", *cells])
     clips = np.array([flight["clips"][-1] for flight in flights])
     samples = max(len(flight) for flight in flights)
     note = f"Clips in a flight of {samples} samples: {clips.mean():.0f} ({clips.min():.0f} to {clips.max():.0f})"
     title = f"Coefficients in use, mean +- standard deviation over {len(flights)} seeds"
-    return Table(["", "truth", *(f"at {t:g} s" for t in times)], lines, title, notes=[note]).markdown()
+    heads = ["", "truth", *(f"at {t:g} s" for t in times)]
+    return Table(heads, lines, title, notes=[note]).markdown()
 
 
 def _truth(flight: Flight) -> dict[str, float]:

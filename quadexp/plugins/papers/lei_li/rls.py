@@ -171,11 +171,15 @@ class Identification(RLSSettings, BladeKeys):
         """What is known before the first sample, see `remembered` of this module."""
         return remembered(part(BladeCoefficients, self), part(RLSSettings, self))
 
-    def update(self, vehicle: Vehicle) -> ca.Function:
-        """See update_function."""
+    def after(
+        self, vehicle: Vehicle, known: Mapping[str, Expression], sample: Mapping[str, Expression]
+    ) -> dict[str, Expression]:
+        """What is known after a sample. known: what is `remembered` before it. sample: v, w, y, read, see
+        update_function."""
         first = part(BladeCoefficients, self)
-        settings = part(RLSSettings, self)
-        return update_function(vehicle, first, settings, self.change_threshold)
+        update = update_function(vehicle, first, part(RLSSettings, self), self.change_threshold)
+        results = update.call({**sample, **{NOW + name: value for name, value in known.items()}})
+        return {name: results[NEXT + name] for name in known}
 
 
 def recursion(

@@ -126,18 +126,16 @@ class RLSMPC(PredictivePart):
 def in_flight(rls: Identification, vehicle: Vehicle) -> ca.Function:
     """Identification as a call: rotor speeds that are not measured are replaced by the commanded ones."""
     inputs = Inputs(vehicle, Circumstances(0.0), ca.MX)
-    kept = {}
-    for name, values in rls.remembered.items():
-        kept[name] = inputs.symbol(NOW + name, (values.size, 1))
+    known = {name: inputs.symbol(NOW + name, (values.size, 1)) for name, values in rls.remembered.items()}
     read, turning = ca.vertsplit(inputs.fresh)
     sent = inputs.symbol(f"{NOW}sent", (vehicle.n_rotors, 1))
     commanded = ca.sqrt(ca.fmax(sent, 0) / vehicle.static_thrust_coefficient)
     sample = {
         "v": air_velocity(inputs.state[ATTITUDE], inputs.state[VELOCITY]),
+        "w": ca.if_else(turning, inputs.rotor_speed, commanded),
         "y": inputs.specific_force,
         "read": read,
     }
-    sample["w"] = ca.if_else(turning, inputs.rotor_speed, commanded)
-    updated = rls.update(vehicle).call(sample | {NOW + name: value for name, value in kept.items()})
-    results = {NEXT + name: updated[NEXT + name] for name in kept} | {"clips": ca.sum1(updated[f"{NEXT}clips"])}
-    return named_function("identify", inputs.read, results)
+    after = rls.after(vehicle, known, sample)
+    results = {NEXT + name: value for name, value in after.items()}
+    return named_function("identify", inputs.read, results | {"clips": ca.sum1(after["clips"])})

@@ -7,7 +7,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from quadexp.compile.memory import NEXT, NOW
 from quadexp.compile.symbolic import ca
 from quadexp.control.inputs import Inputs
 from quadexp.control.law import Law
@@ -16,7 +15,7 @@ from quadexp.errors import UsageError
 from quadexp.models.build_context import BuildContext
 from quadexp.names import named
 from quadexp.parts.settings import REQUIRED, Backend, key, keyed
-from quadexp.physics.expression import split
+from quadexp.physics.expression import Expression, split
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import ATTITUDE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -75,15 +74,19 @@ class Feedback(FeedbackSettings, Law):
     def remembers(self, inputs: Inputs) -> Mapping[str, int]:
         """See Law: values of the previous sample; what identification knows."""
         sizes = {"rotor_speed": inputs.vehicle.n_rotors, "eta_d": 3, "observer": 6, "velocity": 3}
-        known = self.rls.remembered if self.identifies else {}
-        return sizes | {RLS + name: values.size for name, values in known.items()}
+        return sizes | {name: values.size for name, values in self._known_first.items()}
 
     def start(self, vehicle: Vehicle, x: np.ndarray) -> dict[str, np.ndarray]:
         """See Law: hover rotor speeds and R_d = I."""
         velocity = FRD_FLU @ air_velocity(x[ATTITUDE], x[VELOCITY])
-        known = self.rls.remembered if self.identifies else {}
         hover = np.full(vehicle.n_rotors, hover_rotor_speed(vehicle))
-        return {"rotor_speed": hover, "velocity": velocity} | {RLS + name: values for name, values in known.items()}
+        return {"rotor_speed": hover, "velocity": velocity} | self._known_first
+
+    @property
+    def _known_first(self) -> dict[str, np.ndarray]:
+        """What identification knows before the first sample, by its name in the memory."""
+        known = self.rls.remembered if self.identifies else {}
+        return {RLS + name: values for name, values in known.items()}
 
     def equations(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """See Law; (27) to (40). Rotor speeds that are not measured are those that were commanded."""
@@ -94,10 +97,12 @@ class Feedback(FeedbackSettings, Law):
         if self.identifies:
             velocity = air_velocity(inputs.state[ATTITUDE], inputs.state[VELOCITY])
             sample = {"v": velocity, "w": speed, "y": inputs.specific_force, "read": read}
-            results = identified(self.rls, vehicle, memory, sample)
-            theta = results[f"{RLS}used"]
+            known = {name: getattr(memory, RLS + name) for name in self.rls.remembered}
+            after = self.rls.after(vehicle, known, sample)
+            theta = after["used"]
+            results = {RLS + name: value for name, value in after.items()}
             results |= named(THETA, ca.vertsplit(theta))
-            results |= {"clips": ca.sum1(results[f"{RLS}clips"]), "reopened": results[f"{RLS}reopened"]}
+            results |= {"clips": ca.sum1(after["clips"]), "reopened": after["reopened"]}
         elif self.knows_plant:
             theta = inputs.symbol("coefficients", (len(THETA), 1))
         law = law_function(vehicle, self, self.compensates)
@@ -142,26 +147,24 @@ class Feedback(FeedbackSettings, Law):
         return controller
 
 
-def identified(rls: Identification, vehicle: Vehicle, memory: Any, sample: dict[str, Any]) -> dict[str, Any]:
-    """Next values of what identification knows, by name, from a sample. sample: v, w, y, read of its
-    update_function."""
-    kept = {NOW + name: getattr(memory, RLS + name) for name in rls.remembered}
-    updated = rls.update(vehicle).call(kept | sample)
-    return {RLS + name: updated[NEXT + name] for name in rls.remembered}
-
-
 def _fixed_point(law: ca.Function, arguments: dict[str, Any], last: dict[str, Any], iterations: int) -> dict[str, Any]:
     """The results of the law with compensation terms of this sample instead of those of `last`, the previous one."""
-    fixed = [ca.MX.sym(name, value.shape) for name, value in arguments.items()]
-    before = ca.MX.sym("before", sum(value.numel() for value in last.values()) + 1)
-    values = dict(zip(last, split(before[:-1], [value.numel() for value in last.values()]), strict=True))
-    results = law.call(named(arguments, fixed) | {f"{name}_last": value for name, value in values.items()})
+    sizes = [value.numel() for value in last.values()]
+
+    def call(stacked: Expression, arguments: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The values of `last` that are stacked, and the results of the law with them."""
+        values = named(last, split(stacked, sizes))
+        return values, law.call(arguments | {f"{name}_last": value for name, value in values.items()})
+
+    fixed = {name: ca.MX.sym(name, value.shape) for name, value in arguments.items()}
+    before = ca.MX.sym("before", sum(sizes) + 1)
+    values, results = call(before[:-1], fixed)
     change = sum(ca.norm_inf(results[name] - values[name]) for name in ("rotor_speed", "eta_d"))
     moves = change > INNER_TOLERANCE
     after = ca.if_else(moves, ca.vertcat(*(results[name] for name in last)), before[:-1])
-    once = ca.Function("once", [before, *fixed], [ca.if_else(before[-1], ca.vertcat(after, moves), before, True)])
+    next_at = ca.if_else(before[-1], ca.vertcat(after, moves), before, True)
+    once = ca.Function("once", [before, *fixed.values()], [next_at])
     at = ca.vertcat(*last.values(), 1)
     for _ in range(iterations):
         at = once(at, *arguments.values())
-    settled = split(at[:-1], [value.numel() for value in last.values()])
-    return law.call(arguments | {f"{name}_last": value for name, value in zip(last, settled, strict=True)})
+    return call(at[:-1], arguments)[1]
