@@ -11,7 +11,8 @@ import pytest
 import yaml
 
 from quadexp.parts.compose import expand
-from quadexp.plugins.logs.importers.mapping import _TOP, QUANTITIES
+from quadexp.plugins.logs.importers.mapping import _TOP
+from quadexp.plugins.logs.importers.quantities import QUANTITIES
 from quadexp.report.frame import read_results
 from tests.docs.commands import ROOT, run, steps
 from tests.plugins.archive.test_archive import called, commands

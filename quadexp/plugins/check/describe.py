@@ -39,7 +39,7 @@ from quadexp.plugins.check.units_by_size import (
     voltage_unit,
 )
 from quadexp.plugins.logs.column_names import groups, numbered_quaternion, unit_of
-from quadexp.plugins.logs.importers.mapping import QUANTITIES
+from quadexp.plugins.logs.importers.quantities import QUANTITIES
 from quadexp.plugins.logs.importers.readers import reader_of
 from quadexp.plugins.logs.importers.table import numbers, open_table
 from quadexp.plugins.logs.signal.windows import Windows, changes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 Groups = dict[str, list[list[int]]]  # quantity -> groups of columns, the likeliest first
@@ -100,15 +100,17 @@ _PATTERNS: list[tuple[str, re.Pattern[str]]] = [
 
 def unit_of(name: str) -> tuple[str, str | None]:
     """The name without its unit, and the unit in our writing, if it has one."""
-    match = _UNIT.search(name)
-    if match and match[1].strip().lower() in _UNITS and not match[1].strip().isdigit():
-        return name[: match.start()].strip(), _UNITS[match[1].strip().lower()]
-    if match and match.start() > 0 and not match[1].strip() and name[match.start()] == "[":
-        return name[: match.start()].strip(), "1"
-    lower = name.lower()
-    match = _SUFFIX.search(lower)
-    if match and len(lower[: match.start()]) > 1:
-        return name[: match.start()], _SUFFIXES[match[1]]
+    brackets = _UNIT.search(name)
+    if brackets:
+        bare = name[: brackets.start()].strip()
+        unit = brackets[1].strip().lower()
+        if unit in _UNITS:
+            return bare, _UNITS[unit]
+        if bare and not unit and name[brackets.start()] == "[":
+            return bare, "1"
+    suffix = _SUFFIX.search(name.lower())
+    if suffix and suffix.start() > 1:
+        return name[: suffix.start()], _SUFFIXES[suffix[1]]
     return name, None
 
 
@@ -122,8 +124,11 @@ def hint(name: str) -> Hint | None:
             match = pattern.fullmatch(text)
             if match is None:
                 continue
-            axis = match[1] if pattern.groups else ""
-            group = text[: match.start(1)] + "#" + text[match.end(1) :] if pattern.groups and axis else text
+            axis = ""
+            group = text
+            if pattern.groups and match[1]:
+                axis = match[1]
+                group = f"{text[: match.start(1)]}#{text[match.end(1) :]}"
             if quantity == "euler" or axis[:3] in ("rol", "pit", "yaw", "hea"):
                 group = "angles" if text in _AXES else text.replace(axis, "#")
                 axis = next(a for word, a in _AXES.items() if axis.startswith(word[:3]))
@@ -131,29 +136,35 @@ def hint(name: str) -> Hint | None:
     return None
 
 
-def groups(names: Sequence[str]) -> dict[str, list[list[int]]]:
+def groups(names: Sequence[str]) -> Groups:
     """Quantity -> groups of columns (in the order x, y, z, or of their numbers), best name first."""
-    axes: dict[tuple[str, str], dict[str, int]] = defaultdict(dict)
+    groups: dict[tuple[str, str], dict[str, int]] = defaultdict(dict)  # quantity, group -> axis -> column
     ranks: dict[tuple[str, str], int] = {}
     for i, name in enumerate(names):
-        if (said := hint(name)) is not None:
-            axes[said.quantity, said.group].setdefault(said.axis, i)
+        said = hint(name)
+        if said is not None:
+            groups[said.quantity, said.group].setdefault(said.axis, i)
             ranks.setdefault((said.quantity, said.group), said.rank)
     ranked: dict[str, list[tuple[int, list[int]]]] = defaultdict(list)
-    for (quantity, group), places in axes.items():
-        orders: Sequence[Sequence[str]] = ("xyz", "012")
-        if quantity in ("time", "battery_voltage"):
-            orders = [list(places)[:1]]
-        elif quantity == "attitude":
-            orders = ("wxyz", "0123")
-        elif quantity in ("motor", "rotor_speed"):
-            numbers = sorted(places, key=int)
-            in_a_row = int(numbers[-1]) - int(numbers[0]) == len(numbers) - 1
-            orders = [numbers[:8]] if len(numbers) >= 3 and in_a_row else []
-        order = next((order for order in orders if set(order) <= set(places)), None)
-        if order is not None:
-            ranked[quantity].append((ranks[quantity, group], [places[axis] for axis in order]))
+    for (quantity, group), columns in groups.items():
+        for order in _orders(quantity, columns):
+            if set(order) <= columns.keys():
+                ranked[quantity].append((ranks[quantity, group], [columns[axis] for axis in order]))
+                break
     return {quantity: [columns for _, columns in sorted(items)] for quantity, items in ranked.items()}
+
+
+def _orders(quantity: str, axes: Mapping[str, int]) -> Sequence[Sequence[str]]:
+    """The axes that a group of a quantity must have, in their order; any of these."""
+    if quantity in ("time", "battery_voltage"):
+        return [list(axes)[:1]]
+    if quantity == "attitude":
+        return ("wxyz", "0123")
+    if quantity not in ("motor", "rotor_speed"):
+        return ("xyz", "012")
+    numbers = sorted(axes, key=int)
+    in_a_row = int(numbers[-1]) - int(numbers[0]) == len(numbers) - 1
+    return [numbers[:8]] if len(numbers) >= 3 and in_a_row else []
 
 
 def numbered_quaternion(names: Sequence[str], columns: Sequence[int]) -> bool:

@@ -55,8 +55,16 @@ def import_(
             raise UsageError(f"--describe: {len(logs)} logs are given, one is needed")
         proposed = service("describe_log", "--describe")(logs[0])
         return Answer(proposed.record(), [], proposed.yaml().splitlines(), proposed.warnings)
-    turned = (_angles("--mounting", mounting), _angles("--gyro-mounting", gyro_mounting))
-    options = Options(log_format, mapping, rate, crop, align, *turned, bad_rows)
+    options = Options(
+        format=log_format,
+        mapping=mapping,
+        rate=rate,
+        crop=crop,
+        align=align,
+        mounting=_angles("--mounting", mounting),
+        gyro_mounting=_angles("--gyro-mounting", gyro_mounting),
+        bad_rows=bad_rows,
+    )
     records: list[dict[str, Any]] = []
     for log in import_files(logs, out, options, vehicle=vehicle, conf=conf, force=force, keep=keep):
         records.append(log.record())

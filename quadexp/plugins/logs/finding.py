@@ -55,8 +55,10 @@ def of_rows(
 ) -> Finding:  # fmt: skip
     """A finding about the samples rows[0]..rows[1] - 1 of some columns."""
     start, stop = rows
-    low, high = float(t[start]), float(t[min(stop, len(t)) - 1])
-    place = f"sample {start}, {low:.2f} s" if stop - start <= 1 else f"samples {start}..{stop - 1}"
-    place += f", {low:.2f}..{high:.2f} s" if stop - start > 1 else ""
+    low = float(t[start])
+    high = float(t[min(stop, len(t)) - 1])
+    place = f"sample {start}, {low:.2f} s"
+    if stop - start > 1:
+        place = f"samples {start}..{stop - 1}, {low:.2f}..{high:.2f} s"
     where = f"{columns}, {place}" if columns else place
     return Finding(name, severity, where, text, allowed, advice, (low, high))

@@ -29,11 +29,11 @@ from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline, make_lsq_spline
-from scipy.spatial.transform import Rotation
 
 from quadexp.errors import DataError, UsageError
 from quadexp.names import named
 from quadexp.parts.settings import REQUIRED, key, keyed
+from quadexp.physics.rotation import heading
 from quadexp.physics.state import norms
 from quadexp.plugins.logs.column_names import groups
 from quadexp.reference.base import (
@@ -52,7 +52,8 @@ from quadexp.reference.polynomial import ScaledPath, minimum_snap, time_scale
 DEGREE = 7  # the snap is then continuous, and piecewise cubic
 POWERS = (0.5, 0.75, 1.0)  # 0.5 suits a limited acceleration, 1 a limited speed
 MIN_ROWS = 8  # of a track, needed by the degree-7 spline
-MIN_POINTS, MAX_POINTS = 2, 200  # two make a line; beyond, a path is a track of samples
+MIN_POINTS = 2  # make a line
+MAX_POINTS = 200  # beyond, a path is a track of samples
 TRACK = ("t", "p_x", "p_y", "p_z")
 WAYPOINTS = ("x", "y", "z")
 ATTITUDE = ("q_w", "q_x", "q_y", "q_z")
@@ -65,7 +66,8 @@ HEADINGS = ("yaw", "heading")  # rad, unless the numbers say degrees
 DEGREES = tuple(f"{name}{unit}" for name in HEADINGS for unit in ("_deg", " [deg]", " (deg)", "[deg]", "(deg)"))
 FULL_TURN = 6.5  # rad: a heading that stays within is taken as radians
 FASTEST = np.pi / 2  # rad/s: a heading that turns on and on no faster is in rad, as the guide says
-ALONG, NOT_ALONG = 0.95, 0.7  # length of the mean direction of heading less course: held, not held
+ALONG = 0.95  # length of the mean direction of heading less course: held
+NOT_ALONG = 0.7  # likewise: not held
 
 
 @dataclass(frozen=True)
@@ -89,52 +91,80 @@ def read_positions(path: Path) -> Positions:
     Raises DataError with the line number for a missing column, a value that is not a finite number, time that does not
     increase, repeated waypoints without times, or too few or too many rows.
     """
+    lines = _lines(path)
+    first = lines[0][0]
+    if "," in lines[0][1]:
+        names, *rows = [next(csv.reader([line])) for _, line in lines]
+        header = _renamed([name.strip() for name in names])
+        columns = _columns(f"{path}, line {first}", header)
+        del lines[0]
+    else:
+        rows = [line.split() for _, line in lines]
+        header = list(TUM)
+        columns = TUM
+    wheres = [f"{path}, line {number}" for number, _ in lines]
+    table = [_numbers(where, row, header, columns) for where, row in zip(wheres, rows, strict=True)]
+    values = named(columns, np.array(table).reshape(len(rows), len(columns)).T)
+    sampled = columns[: len(WAYPOINTS)] != WAYPOINTS
+    points = np.column_stack([values[name] for name in (columns[1:4] if sampled else WAYPOINTS)])
+    if sampled and len(points) < MIN_ROWS:
+        other = "for waypoints name the columns x, y, z"
+        raise DataError(f"{path}: {len(points)} rows, a track needs at least {MIN_ROWS}; {other}")
+    if not sampled and not MIN_POINTS <= len(points) <= MAX_POINTS:
+        other = f"for a sampled track name the columns {', '.join(TRACK)}"
+        raise DataError(f"{path}: {len(points)} waypoints, {MIN_POINTS} to {MAX_POINTS} are allowed; {other}")
+    times = values.get("t")
+    if times is None:
+        _check_moving(wheres, points)
+    else:
+        _check_increasing(wheres, times)
+        if times[0] > NANOSECONDS:
+            times = 1e-9 * times
+    yaw = None
+    angles = [name for name in (*HEADINGS, *DEGREES) if name in values]
+    attitude = TUM[4:] if columns == TUM else (*ATTITUDE[1:], ATTITUDE[0])
+    if angles:
+        yaw = _in_radians(path, angles[0], values[angles[0]], points, times)
+    elif set(attitude) <= values.keys():
+        yaw = _heading(wheres, np.column_stack([values[name] for name in attitude]))
+    if yaw is not None:
+        yaw = np.unwrap(yaw)
+    ignored = tuple(name for name in header if name not in columns)
+    return Positions(sampled, times, points, yaw, ignored)
+
+
+def _lines(path: Path) -> list[tuple[int, str]]:
+    """Number and text of the lines that are neither empty nor comments; a comment that names the columns, the last one
+    above the numbers, is none."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: not a readable text file ({error})") from None
-    every = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
-    lines = [(i, line) for i, line in every if not line.startswith("#")]
-    above = [(i, line.lstrip("# ")) for i, line in every if lines and i < lines[0][0] and "," in line]
-    if above and not any(c.isalpha() for c in lines[0][1].lower().replace("e", "")):  # a row of numbers
-        lines.insert(0, above[-1])
+    lines: list[tuple[int, str]] = []
+    heading: list[tuple[int, str]] = []
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.startswith("#") and "," in line and not lines:
+            heading = [(number, line.lstrip("# "))]
+        elif line.strip() and not line.startswith("#"):
+            lines.append((number, line))
     if not lines:
         raise DataError(f"{path}: no rows (a track needs at least {MIN_ROWS}, waypoints {MIN_POINTS})")
-    if "," in lines[0][1]:
-        (first, names), *rows = [(i, next(csv.reader([line]))) for i, line in lines]
-        header = _renamed([name.strip() for name in names])
-        columns = _columns(f"{path}, line {first}", header)
-    else:
-        header, columns, rows = list(TUM), TUM, [(i, line.split()) for i, line in lines]
-    table = np.array([_numbers(f"{path}, line {i}", row, header, columns) for i, row in rows])
-    values = named(columns, table.reshape(len(rows), len(columns)).T)
-    sampled = columns[: len(WAYPOINTS)] != WAYPOINTS
-    points = np.column_stack([values[name] for name in (columns[1:4] if sampled else WAYPOINTS)])
-    if sampled and len(points) < MIN_ROWS:
-        raise DataError(
-            f"{path}: {len(points)} rows, a track needs at least {MIN_ROWS}; for waypoints name the columns x, y, z"
-        )
-    if not sampled and not MIN_POINTS <= len(points) <= MAX_POINTS:
-        raise DataError(
-            f"{path}: {len(points)} waypoints, {MIN_POINTS} to {MAX_POINTS} are allowed; for a sampled track name the"
-            f" columns {', '.join(TRACK)}"
-        )
-    times = values.get("t")
-    for (i, _), (before, now) in zip(rows[1:], pairwise(points if times is None else times), strict=True):
-        if times is not None and now <= before:
+    if any(letter.isalpha() for letter in lines[0][1].lower().replace("e", "")):  # it names the columns itself
+        return lines
+    return heading + lines
+
+
+def _check_increasing(wheres: list[str], times: np.ndarray) -> None:
+    for where, (before, now) in zip(wheres[1:], pairwise(times), strict=True):
+        if now <= before:
             way = "the row is there twice: leave one of both out" if now == before else "time must increase"
-            raise DataError(f"{path}, line {i}: t = {now:.9g} s is not after {before:.9g} s, {way}")
-        if times is None and np.array_equal(before, now):
-            raise DataError(f"{path}, line {i}: the same point as in the previous row; add a column t to stay there")
-    scale = 1e-9 if times is not None and times[0] > NANOSECONDS else 1.0
-    times = None if times is None else times * scale
-    angles = [name for name in (*HEADINGS, *DEGREES) if name in values]
-    yaw = _in_radians(path, angles[0], values[angles[0]], points, times) if angles else None
-    if columns == TUM or (yaw is None and set(ATTITUDE) <= values.keys()):
-        order = TUM[4:] if columns == TUM else (*ATTITUDE[1:], ATTITUDE[0])
-        yaw = _heading(path, rows, np.column_stack([values[name] for name in order]))
-    ignored = tuple(name for name in header if name not in columns)
-    return Positions(sampled, times, points, None if yaw is None else np.unwrap(yaw), ignored)
+            raise DataError(f"{where}: t = {now:.9g} s is not after {before:.9g} s, {way}")
+
+
+def _check_moving(wheres: list[str], points: np.ndarray) -> None:
+    for where, (before, now) in zip(wheres[1:], pairwise(points), strict=True):
+        if np.array_equal(before, now):
+            raise DataError(f"{where}: the same point as in the previous row; add a column t to stay there")
 
 
 def _renamed(header: list[str]) -> list[str]:
@@ -151,26 +181,31 @@ def _renamed(header: list[str]) -> list[str]:
 
 def _columns(where: str, header: list[str]) -> tuple[str, ...]:
     """The columns that are read of a CSV file; DataError where one is missing."""
-    waypoints = any(name in header for name in WAYPOINTS) and not any(name in header for name in TRACK[1:])
     angles = (*HEADINGS, *DEGREES)
-    needed, optional = (WAYPOINTS, ("t", *angles)) if waypoints else (TRACK, (*angles, *ATTITUDE))
-    if missing := [name for name in needed if name not in header]:
-        about = "optional t and yaw, for waypoints" if waypoints else "optional yaw; waypoints: x, y, z"
-        raise DataError(
-            f"{where}: no column {', '.join(missing)} in the header"
-            f" (found {', '.join(header)}; needed {', '.join(needed)}, {about})"
-        )
+    needed: tuple[str, ...]
+    optional: tuple[str, ...]
+    if any(name in header for name in WAYPOINTS) and not any(name in header for name in TRACK[1:]):
+        needed = WAYPOINTS
+        optional = ("t", *angles)
+        about = "optional t and yaw, for waypoints"
+    else:
+        needed = TRACK
+        optional = (*angles, *ATTITUDE)
+        about = "optional yaw; waypoints: x, y, z"
+    missing = [name for name in needed if name not in header]
+    if missing:
+        found = f"found {', '.join(header)}; needed {', '.join(needed)}, {about}"
+        raise DataError(f"{where}: no column {', '.join(missing)} in the header ({found})")
     return (*needed, *(name for name in optional if name in header))
 
 
-def _heading(path: Path, rows: list[tuple[int, list[str]]], quaternion: np.ndarray) -> np.ndarray:
+def _heading(wheres: list[str], quaternion: np.ndarray) -> np.ndarray:
     """Yaw (k,) (rad) of attitudes (k, 4), w last; DataError where one is not of unit length."""
     lengths = norms(quaternion)
-    if np.any(np.abs(lengths - 1) > 0.01):
-        i = int(np.argmax(np.abs(lengths - 1)))
-        raise DataError(f"{path}, line {rows[i][0]}: the quaternion has length {lengths[i]:.3g}, not 1")
-    y_body = Rotation.from_quat(quaternion).as_matrix()[:, :, 1]
-    return np.arctan2(-y_body[:, 0], y_body[:, 1])
+    i = int(np.argmax(np.abs(lengths - 1)))
+    if abs(lengths[i] - 1) > 0.01:
+        raise DataError(f"{wheres[i]}: the quaternion has length {lengths[i]:.3g}, not 1")
+    return heading(quaternion[:, [3, 0, 1, 2]])
 
 
 def _in_radians(path: Path, name: str, yaw: np.ndarray, points: np.ndarray, t: np.ndarray | None) -> np.ndarray:
@@ -180,30 +215,26 @@ def _in_radians(path: Path, name: str, yaw: np.ndarray, points: np.ndarray, t: n
     Raises DataError for angles of more than a turn that say neither and would turn fast: 0 .. 45 in 20 s may be
     degrees, or seven turns.
     """
+    size = float(np.abs(yaw).max())
+    steps = np.abs(np.diff(yaw))
     if name in DEGREES:
         return np.radians(yaw)
-    if np.abs(yaw).max() < FULL_TURN:
+    if size < FULL_TURN:
         return yaw
-    steps = np.abs(np.diff(yaw))
     if np.any((steps > 300) & (steps < 420)):
         return np.radians(yaw)
     moves = np.gradient(points[:, :2], axis=0)
     course = np.arctan2(moves[:, 1], moves[:, 0])
     moving = norms(moves) > 0.1 * norms(moves).max()
-    as_degrees, as_radians = (
-        float(np.abs(np.mean(np.exp(1j * (angle - course)[moving])))) for angle in (np.radians(yaw), yaw)
-    )
-    if as_degrees > ALONG and as_radians < NOT_ALONG:
+    along = [abs(np.mean(np.exp(1j * (angle - course)[moving]))) for angle in (np.radians(yaw), yaw)]
+    if along[0] > ALONG and along[1] < NOT_ALONG:
         return np.radians(yaw)
-    if as_radians > ALONG and as_degrees < NOT_ALONG:
+    if along[1] > ALONG and along[0] < NOT_ALONG:
         return yaw
-    if t is not None and np.abs(yaw).min() < FULL_TURN and bool(np.all(steps < FASTEST * np.diff(t))):
+    if t is not None and np.abs(yaw).min() < FULL_TURN and np.all(steps < FASTEST * np.diff(t)):
         return yaw
-    size = float(np.abs(yaw).max())
-    raise DataError(
-        f"{path}: {name} reaches {size:.4g}, {size / (2 * np.pi):.3g} turns in rad: name the column {name}_deg if it is"
-        f" in degrees, or wrap it to -pi .. pi if it is in rad"
-    )
+    way = f"name the column {name}_deg if it is in degrees, or wrap it to -pi .. pi if it is in rad"
+    raise DataError(f"{path}: {name} reaches {size:.4g}, {size / (2 * np.pi):.3g} turns in rad: {way}")
 
 
 def _numbers(where: str, row: list[str], header: list[str], columns: tuple[str, ...]) -> list[float]:
@@ -271,36 +302,36 @@ class FileTrajectory(LimitedTrajectory):
             raise UsageError(f"trajectory.path: there is no file {self.path!r}")
         positions = read_positions(Path(self.path))
         if positions.sampled:
-            if self.speed is not None:
-                raise UsageError(
-                    f"trajectory.speed={self.speed:g}: {self.path} is a sampled track, which has its own times;"
-                    " leave the speed out, or name the columns x, y, z for waypoints"
-                )
-            assert positions.times is not None
-            yaw = np.zeros(len(positions.times)) if positions.yaw is None else positions.yaw
-            points = np.column_stack([positions.points, yaw])
-            track = SampledTrack(positions.times - positions.times[0], points, self.smooth or 0.0)
-            names = ", ".join(positions.ignored[:MOST_IGNORED]) + (
-                ", .." if len(positions.ignored) > MOST_IGNORED else ""
-            )
-            return track, f"columns that are not flown: {names}" if names else ""
+            return self._sampled(positions)
         try:
             return self._through(positions)
         except ValueError as error:
             raise UsageError(f"{self.path}: no polynomials through these waypoints ({error})") from None
 
+    def _sampled(self, positions: Positions) -> tuple[SampledTrack, str]:
+        """The spline through a track, and what of it is not flown."""
+        if self.speed is not None:
+            way = "leave the speed out, or name the columns x, y, z for waypoints"
+            own = f"{self.path} is a sampled track, which has its own times"
+            raise UsageError(f"trajectory.speed={self.speed:g}: {own}; {way}")
+        assert positions.times is not None
+        yaw = np.zeros(len(positions.times)) if positions.yaw is None else positions.yaw
+        points = np.column_stack([positions.points, yaw])
+        track = SampledTrack(positions.times - positions.times[0], points, self.smooth or 0.0)
+        names = [*positions.ignored[:MOST_IGNORED], *[".."] * (len(positions.ignored) > MOST_IGNORED)]
+        return track, f"columns that are not flown: {', '.join(names)}" if names else ""
+
     def _through(self, positions: Positions) -> tuple[ScaledPath, str]:
         """The path through waypoints, and its note."""
-        columns = [positions.points] + ([] if positions.yaw is None else [positions.yaw[:, None]])
-        points = np.concatenate(columns, axis=1)
+        points = positions.points
+        if positions.yaw is not None:
+            points = np.column_stack([points, positions.yaw])
         if positions.times is not None:
             timed = ScaledPath(minimum_snap(positions.times, points), 1.0)
             if self.speed is not None and self.vehicle is not None and timed.peak_speed > self.speed:
-                raise UsageError(
-                    f"trajectory.speed={self.speed:g}: the times in {self.path} take a peak speed of"
-                    f" {timed.peak_speed:.4g} m/s; leave out the column t, raise the speed, or pass"
-                    " trajectory.allow_infeasible=true"
-                )
+                takes = f"the times in {self.path} take a peak speed of {timed.peak_speed:.4g} m/s"
+                way = "leave out the column t, raise the speed, or pass trajectory.allow_infeasible=true"
+                raise UsageError(f"trajectory.speed={self.speed:g}: {takes}; {way}")
             return timed, ""
         lengths = norms(np.diff(positions.points, axis=0)) / np.ptp(positions.points, axis=0).max()
         candidates = []

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.experiment.vehicle_of import refuse_repeated, vehicle_named
 from quadexp.log.schema import Flight
@@ -57,15 +59,15 @@ def import_files(
     for log in logs:
         if not log.exists():
             raise UsageError(f"import: {log}: no such file or folder")
-    paths = {log: out / f"{log.stem}.parquet" for log in logs}
+    paths = [out / f"{log.stem}.parquet" for log in logs]
     said = "several logs would be written to {path}: give them one by one, with other --out"
-    refuse_repeated("import", [out / f"{log.stem}.parquet" for log in logs], said)
-    for path in paths.values():
+    refuse_repeated("import", paths, said)
+    for path in paths:
         check_output(path, force=force)
     named = None if vehicle is None else vehicle_named(vehicle, conf)
     mapping = checked(options)
     seen: dict[str, str] = {}
-    for place, (log, path) in enumerate(paths.items(), 1):
+    for place, (log, path) in enumerate(zip(logs, paths, strict=True), 1):
         set_status(f"{log}, {place} of {len(paths)}")
         try:
             flight, notes = import_log(log, named, options, mapping)
@@ -74,8 +76,8 @@ def import_files(
         except (MemoryError, RecursionError) as error:
             yield Outcome(log, cause=f"too large or too deeply nested to read ({type(error).__name__})")
         else:
-            check_flight = brought("services", "check_flight")
             outcome = Outcome(log, notes=notes)
+            check_flight = brought("services", "check_flight")
             if check_flight is None:
                 outcome.notes.append("not checked: no installed plug-in has 'check_flight' (quadexp/plugins)")
             else:
@@ -101,10 +103,12 @@ def _finish(outcome: Outcome, flight: Flight, path: Path, seen: dict[str, str], 
     record: dict[str, Any] = {"findings": [finding.record() for finding in outcome.findings]} if source else {}
     write_flight(path, flight, force=force, **record)
     seen.setdefault(content, outcome.log.name)
-    t = flight.t
-    rate = f" at {source['rate']:.4g} Hz" if "rate" in source else ""
-    part = " (log {:.1f} to {:.1f} s)".format(*source["cropped"]) if "cropped" in source else ""
-    seconds = float(t[-1] - t[0]) if len(t) else 0.0
-    of = source.get("format") or "quadexp"
-    outcome.path, outcome.summary = path, f"{of}, {seconds:.1f} s{rate}{part}, {len(flight.columns)} columns"
+    seconds = float(np.ptp(flight.t)) if len(flight) else 0.0
+    summary = f"{source.get('format') or 'quadexp'}, {seconds:.1f} s"
+    if "rate" in source:
+        summary += f" at {source['rate']:.4g} Hz"
+    if "cropped" in source:
+        summary += " (log {:.1f} to {:.1f} s)".format(*source["cropped"])
+    outcome.path = path
+    outcome.summary = f"{summary}, {len(flight.columns)} columns"
     return outcome

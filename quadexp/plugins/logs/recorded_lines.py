@@ -14,11 +14,11 @@ def recorded_lines(record: Mapping[str, Any], columns: Mapping[str, np.ndarray],
     findings = record.get("findings", [])
     t = columns["t"]
     summary |= {"source": record.get("source"), "findings": findings}
-    file = source.get("file")
-    form = source.get("format")
     rate = source.get("rate")
     hertz = f" at {rate:.4g} Hz" if isinstance(rate, (int, float)) else ""
-    lines = [f"recorded    {file} ({form}), {float(t[-1] - t[0]) if len(t) else 0.0:.1f} s{hertz}"]
-    if all(name in columns for name in ("v_x", "v_y", "v_z")) and len(t):
-        lines.append(f"peak speed  {float(np.sqrt(sum(columns[f'v_{i}'] ** 2 for i in 'xyz')).max()):.2f} m/s")
+    seconds = float(t[-1] - t[0]) if len(t) else 0.0
+    lines = [f"recorded    {source.get('file')} ({source.get('format')}), {seconds:.1f} s{hertz}"]
+    velocity = [columns[name] for name in ("v_x", "v_y", "v_z") if name in columns]
+    if len(velocity) == 3 and len(t):
+        lines.append(f"peak speed  {np.linalg.norm(velocity, axis=0).max():.2f} m/s")
     return lines + [f"finding     {finding['message']}" for finding in findings]

@@ -91,7 +91,8 @@ class Samples:
 
     def during(self, values: np.ndarray) -> np.ndarray:
         """Values (k, n) of the signal, over the interval that begins at each sample."""
-        later = np.minimum(np.arange(len(self)) + 1, np.searchsorted(self.segment, self.segment, "right") - 1)
+        last = np.searchsorted(self.segment, self.segment, "right") - 1  # of the segment
+        later = np.minimum(np.arange(len(self)) + 1, last)
         return np.where(self.held[:, None], values[later], values)
 
 
@@ -101,7 +102,8 @@ def late_signal(
     """L[s], (k, n), segment by segment. time, held: (k,); segment: (k,), ascending numbers."""
     late = signal.astype(float)
     period = period_of(time)
-    for rows in np.split(np.arange(len(time)), np.flatnonzero(np.diff(segment)) + 1):
+    ends = np.flatnonzero(np.diff(segment)) + 1
+    for rows in np.split(np.arange(len(time)), ends):
         late[rows] = lagged(late[rows], period, delay, lag, ends=bool(held[rows[0]]))
     return late
 
@@ -120,12 +122,14 @@ def choose_signal(flights: Sequence[Flight], asked: str | None = None) -> str:
     Raises DataError where the flights have none in common.
     """
     for kind in [asked] if asked else SIGNALS:
-        if all(rotor_columns(flight, kind) for flight in flights):
+        lacking = [name_of(flight, i) for i, flight in enumerate(flights) if not rotor_columns(flight, kind)]
+        if not lacking:
             return kind
-    lacking = next(name_of(f, i) for i, f in enumerate(flights) if not asked or not rotor_columns(f, asked))
     columns = ", ".join(f"{kind}_0 .." if kind != "thrust_acceleration" else kind for kind in SIGNALS)
-    wanted = f"columns {asked}_0 .. are missing" if asked else "no signal of the thrust is in every flight"
-    raise DataError(f"{lacking}: {wanted}; identification needs one of {columns}")
+    if asked:
+        raise DataError(f"{lacking[0]}: columns {asked}_0 .. are missing; identification needs one of {columns}")
+    first = name_of(flights[0], 0)
+    raise DataError(f"{first}: no signal of the thrust is in every flight; identification needs one of {columns}")
 
 
 def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = None) -> Samples:
@@ -135,36 +139,60 @@ def gather(flights: Sequence[Flight], kind: str, names: Sequence[str] | None = N
     different numbers of rotors.
     """
     names = tuple(names or [name_of(flight, i) for i, flight in enumerate(flights)])
-    with_voltage = all("battery_voltage" in flight.columns for flight in flights)
-    with_rate = all(name in f.columns and np.isfinite(f[name]).all() for f in flights for name in RATES)
+    optional = []  # that every flight has
+    if all("battery_voltage" in flight.columns for flight in flights):
+        optional.append("voltage")
+    if all(_has_rates(flight) for flight in flights):
+        optional.append("rate")
     parts: list[dict[str, np.ndarray]] = []
-    segments = 0
     for index, (flight, name) in enumerate(zip(flights, names, strict=True)):
-        rotors = rotor_columns(flight, kind)
-        columns = ["t", *QUATERNION, *VELOCITY, *READINGS, *rotors, *(WIND if "wind_x" in flight.columns else ())]
-        columns += ["battery_voltage"] if with_voltage else []
-        simulated = not flight.metadata.get("recorded", False)
-        check_columns(flight, name, columns, first=int(simulated))
-        k = np.arange(int(simulated), len(flight))
-        held = simulated and kind in HELD
-        signal = flight.stack(rotors).astype(float)[k - held]
-        if parts and signal.shape[1] != parts[0]["signal"].shape[1]:
-            raise DataError(f"{name}: {signal.shape[1]} rotors, {names[0]} has {parts[0]['signal'].shape[1]}")
-        number = np.asarray(flight.columns.get("segment", np.zeros(len(flight))))[k]
-        segment = segments + np.concatenate([[0], np.cumsum(number[1:] != number[:-1])]).astype(int)
-        segments = segment[-1] + 1
-        part = {"time": flight.t[k], "flight": np.full(len(k), index), "segment": segment, "signal": signal}
-        part |= {"force": flight.stack(READINGS)[k], "velocity": flight.air_velocity[k], "held": np.full(len(k), held)}
-        if with_voltage:
-            voltage = part["voltage"] = flight["battery_voltage"][k]
-            if not voltage.min() > 0:
-                row = int(k[np.argmin(voltage)])
-                raise DataError(f"{name}: battery_voltage is {voltage.min():g} V in row {row}, it must be positive")
-        if with_rate:
-            part["rate"] = flight.stack(RATES)[k].astype(float)
+        part = _part(flight, name, kind, optional)
+        count = len(part["time"])
+        part["flight"] = np.full(count, index)
+        if parts:
+            part["segment"] += parts[-1]["segment"][-1] + 1
+            rotors = [each["signal"].shape[1] for each in (part, parts[0])]
+            if rotors[0] != rotors[1]:
+                raise DataError(f"{name}: {rotors[0]} rotors, {names[0]} has {rotors[1]}")
         parts.append(part)
     arrays: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return Samples(kind=kind, names=names, **arrays)
+
+
+def _has_rates(flight: Flight) -> bool:
+    return all(name in flight.columns and np.isfinite(flight[name]).all() for name in RATES)
+
+
+def _part(flight: Flight, name: str, kind: str, optional: Sequence[str]) -> dict[str, np.ndarray]:
+    """Samples of one flight by the fields of Samples; segments from 0 on."""
+    simulated = not flight.metadata.get("recorded", False)
+    first = int(simulated)
+    held = simulated and kind in HELD
+    rotors = rotor_columns(flight, kind)
+    columns = ["t", *QUATERNION, *VELOCITY, *READINGS, *rotors]
+    if "wind_x" in flight.columns:
+        columns += WIND
+    if "voltage" in optional:
+        columns.append("battery_voltage")
+    check_columns(flight, name, columns, first)
+    count = len(flight) - first
+    number = flight.columns.get("segment", np.zeros(len(flight)))[first:]
+    part = {
+        "time": flight.t[first:],
+        "segment": np.cumsum(np.diff(number, prepend=number[:1]) != 0),
+        "force": flight.stack(READINGS)[first:],
+        "velocity": flight.air_velocity[first:],
+        "signal": flight.stack(rotors).astype(float)[first - held :][:count],
+        "held": np.full(count, held),
+    }
+    if "voltage" in optional:
+        voltage = part["voltage"] = flight["battery_voltage"][first:]
+        if not voltage.min() > 0:
+            row = int(np.argmin(voltage)) + first
+            raise DataError(f"{name}: battery_voltage is {voltage.min():g} V in row {row}, it must be positive")
+    if "rate" in optional:
+        part["rate"] = flight.stack(RATES)[first:].astype(float)
+    return part
 
 
 def gather_to_fit(flights: Sequence[Flight], signal: str | None = None, names: Sequence[str] | None = None) -> Samples:
@@ -177,8 +205,9 @@ def gather_to_fit(flights: Sequence[Flight], signal: str | None = None, names: S
         return samples
     first = samples.time[np.searchsorted(samples.segment, samples.segment)]
     known = samples.time - first >= late.dead_time + SETTLED * late.lag
-    behind = samples.delayed(late.dead_time + late.error, late.lag).signal
-    return replace(samples.delayed(late.dead_time, late.lag), later=behind).rows(known)
+    later = samples.delayed(late.dead_time + late.error, late.lag).signal
+    delayed = samples.delayed(late.dead_time, late.lag)
+    return replace(delayed, later=later).rows(known)
 
 
 @dataclass(frozen=True)

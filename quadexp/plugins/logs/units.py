@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -31,7 +30,8 @@ ELECTRICAL = "erpm"  # turns of the motor's field: pole pairs times those of the
 # Axes of a frame in ENU or FLU, as the log's components: "y x -z" says ENU = (log y, log x, -log z).
 WORLD_FRAMES = {"enu": "x y z", "nwu": "-y x z", "ned": "y x -z", "nue": "z x y", "eus": "x -z y"}
 BODY_FRAMES = {"flu": "x y z", "frd": "x -y -z", "rfu": "y -x z", "rdf": "z -x -y", "luf": "z x y"}
-_AXIS = re.compile(r"([+-]?)([xyz])")
+FRAMES = dict.fromkeys(WORLD_FRAMES, "world") | dict.fromkeys(BODY_FRAMES, "body")  # name -> of what
+AXES = ("x", "y", "z")
 
 
 def unit_factor(dimension: str, unit: str, where: str) -> float:
@@ -48,28 +48,30 @@ def axes_matrix(kind: str, frame: str, where: str) -> np.ndarray:
     frame: a name ("NED"), or what each axis of ENU or FLU is in the log, such as "y x -z".
     """
     names = WORLD_FRAMES if kind == "world" else BODY_FRAMES
-    text = names.get(str(frame).lower(), str(frame).lower())
-    words = text.replace(",", " ").split()
-    parts = [part for part in map(_AXIS.fullmatch, words) if part is not None]
-    if not len(words) == len(parts) == len({part[2] for part in parts}) == 3:
-        raise UsageError(
-            f"{where}: frame {frame!r} is not known; allowed are {', '.join(n.upper() for n in names)},"
-            ' or three signed axes such as "y x -z"'
-        )
+    text = str(frame).lower()
+    words = names.get(text, text).replace(",", " ").split()
     matrix = np.zeros((3, 3))
-    for row, part in enumerate(parts):
-        matrix[row, "xyz".index(part[2])] = -1.0 if part[1] == "-" else 1.0
+    for row, word in zip(matrix, words, strict=False):
+        if word.lstrip("+-") in AXES and len(word) <= 2:
+            row[AXES.index(word[-1])] = -1.0 if word[0] == "-" else 1.0
+    if len(words) != 3 or not np.array_equal(matrix @ matrix.T, np.eye(3)):
+        allowed = ", ".join(names).upper()
+        example = 'or three signed axes such as "y x -z"'
+        raise UsageError(f"{where}: frame {frame!r} is not known; allowed are {allowed}, {example}")
     return matrix
 
 
 def axes_words(matrix: np.ndarray) -> str:
     """A signed permutation, (3, 3), in the words of axes_matrix: "y x -z"."""
-    return " ".join(("-" if row.min() < 0 else "") + "xyz"[int(np.argmax(np.abs(row)))] for row in matrix)
+    words = []
+    for row in matrix:
+        sign = "-" if row.min() < 0 else ""
+        words.append(sign + AXES[int(np.argmax(np.abs(row)))])
+    return " ".join(words)
 
 
 def mounting_matrix(angles: Sequence[float]) -> np.ndarray:
     """R_z(yaw) R_y(pitch) R_x(roll), (3, 3), of roll, pitch, yaw in degrees: from a sensor's axes to the body's."""
     from scipy.spatial.transform import Rotation
 
-    roll, pitch, yaw = angles
-    return Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix()
+    return Rotation.from_euler("ZYX", angles[::-1], degrees=True).as_matrix()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 from quadexp.errors import DataError, UsageError
 from quadexp.log.runs import period_of, runs
 from quadexp.log.schema import Flight
-from quadexp.names import named
+from quadexp.names import distinct, named, without
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugin import service
 from quadexp.plugins.logs.importers.assemble import SHORTEST, assemble
@@ -25,7 +26,7 @@ from quadexp.plugins.logs.importers.raw import RawLog, corrected, read_mapped
 from quadexp.plugins.logs.importers.readers import reader_of, readers
 from quadexp.plugins.logs.importers.readers.csv import ready_mappings
 from quadexp.plugins.logs.importers.table import open_table
-from quadexp.plugins.logs.signal import GAP_PERIODS, Stream, derivative
+from quadexp.plugins.logs.signal import GAP_PERIODS, Stream, derivative, numbered
 from quadexp.plugins.logs.signal.offset import aligned, find_offsets
 from quadexp.plugins.logs.signal.resample import interpolate
 from quadexp.plugins.logs.units import mounting_matrix
@@ -55,14 +56,14 @@ class Options:
 
 def checked(options: Options) -> Mapping | None:
     """The mapping that the options name; raises UsageError where the request itself is wrong."""
-    if options.format not in (known := ("auto", *ready(), *readers())):
+    known = ("auto", *ready(), *readers())
+    if options.format not in known:
         raise UsageError(f"--log-format {options.format}: no such format; there are {', '.join(known)}")
-    mapping = None if options.mapping is None else load_mapping(options.mapping)
-    if mapping is None and options.format == "csv":
+    if options.mapping is None and options.format == "csv":
         raise UsageError("--log-format csv: needs --mapping FILE; `quadexp import --describe LOG` proposes one")
     if options.rate is not None and not 0.1 <= options.rate <= 10_000:
         raise UsageError(f"--rate {options.rate:g}: must be in [0.1, 10000] Hz")
-    return mapping
+    return None if options.mapping is None else load_mapping(options.mapping)
 
 
 def import_log(
@@ -92,8 +93,9 @@ def said_once(notes: list[str]) -> list[str]:
         streams.setdefault(text if colon else note, []).append(name if colon else "")
     said = []
     for text, names in streams.items():
-        bare = [name.partition(" (")[0] for name in names] if len(names) > 1 else names
-        said.append(f"{', '.join(dict.fromkeys(bare))}: {text}" if names[0] else text)
+        if len(names) > 1:  # without the columns
+            names = distinct(name.partition(" (")[0] for name in names)
+        said.append(f"{', '.join(names)}: {text}" if names[0] else text)
     return said
 
 
@@ -137,7 +139,8 @@ def ready() -> list[str]:
 
 def _offsets(log: RawLog, align: bool) -> tuple[dict[str, Any], list[str]]:
     """For the record, and as notes. align: move the streams that are late, see `aligned`."""
-    record, notes = {}, []
+    record = {}
+    notes = []
     offsets = find_offsets(log.streams)
     if align:
         log.streams.update(aligned(log.streams, offsets))
@@ -146,20 +149,22 @@ def _offsets(log: RawLog, align: bool) -> tuple[dict[str, Any], list[str]]:
         if offset.certain:
             moved = ", removed" if removed else ""
             notes.append(f"time offset: {name} {1e3 * offset.seconds:+.1f} ms behind {behind} {offset.words}{moved}")
-        record[name] = {
-            "seconds": offset.seconds, "error": offset.error if np.isfinite(offset.error) else None,
-            "correlation": offset.correlation, "certain": offset.certain, "behind": behind, "removed": removed,
-            "drift": offset.drift,
-        }  # fmt: skip
+        shown = without(offset._asdict(), ("rival", "middle"))
+        if not np.isfinite(offset.error):
+            shown["error"] = None
+        record[name] = shown | {"behind": behind, "removed": removed}
     return record, notes
 
 
 def _metadata(path: Path, log: RawLog, vehicle: Vehicle | None, offsets: dict[str, Any]) -> dict[str, Any]:
-    source = {"file": path.name, "sha256": digest(path), "format": log.format, "mapping": log.mapping}
+    source: dict[str, Any] = {"file": path.name, "sha256": digest(path), "format": log.format, "mapping": log.mapping}
     metadata = {
-        "name": path.stem, "outcome": "ok", "recorded": True, "source": source | {"offsets": offsets} | log.about,
-        "versions": versions(), "provenance": provenance(),
-    }  # fmt: skip
+        "name": path.stem,
+        "outcome": "ok",
+        "recorded": True,
+        "source": source | {"offsets": offsets} | log.about,
+    }
+    metadata |= {"versions": versions(), "provenance": provenance()}
     if vehicle is not None:
         metadata["vehicle"] = {"name": vehicle.name, "fingerprint": vehicle.fingerprint}
         metadata["config"] = {"vehicle": asdict(vehicle)}
@@ -211,29 +216,25 @@ def without_bad_rows(
 
 
 def _without(flight: Flight, bad: np.ndarray, mode: str, derived: bool) -> Flight:
-    gap = bad.copy()
+    bridged = np.zeros(len(flight), bool)
     for start, stop in runs(bad) if mode == "drop" else ():
         if stop - start < GAP_PERIODS and start > 0 and stop < len(bad):
-            gap[start:stop] = False
-    columns = _bridged(flight, bad, bad & ~gap)
-    segment = np.asarray(columns.get("segment", np.zeros(len(flight), np.int32)))
-    breaks = np.concatenate([[False], (np.diff(segment) != 0) | (gap[1:] & ~gap[:-1])])
-    number = np.cumsum(breaks)
-    count = np.bincount(number[~gap], minlength=number[-1] + 1)
-    kept = ~gap & (count[number] >= SHORTEST)
+            bridged[start:stop] = True
+    segment = np.asarray(flight.columns.get("segment", np.zeros(len(flight))))
+    kept = bridged | ~bad
+    number = numbered(segment, kept)
+    kept[kept] = np.bincount(number)[number] >= SHORTEST
     if kept.sum() < 2 * SHORTEST:
         raise DataError("nothing is left once bad rows are left out")
-    columns = {name: values[kept] for name, values in columns.items()}
-    _, columns["segment"] = np.unique(number[kept], return_inverse=True)
-    columns["segment"] = columns["segment"].astype(np.int32)
+    columns = {name: values[kept] for name, values in _bridged(flight, bad, bridged).items()}
+    columns["segment"] = numbered(segment, kept)
     columns["t"] = columns["t"] - columns["t"][0]
     shorter = Flight(columns, flight.metadata)
     if derived:
         window = max(0.1, 5 * period_of(shorter.t))
-        velocity = derivative(
-            shorter.t, shorter.stack(["p_x", "p_y", "p_z"]), segment=shorter["segment"], window=window
-        ).values
-        columns |= named(("v_x", "v_y", "v_z"), velocity.T)
+        position = shorter.stack(["p_x", "p_y", "p_z"])
+        velocity = derivative(shorter.t, position, segment=shorter["segment"], window=window)
+        columns |= named(("v_x", "v_y", "v_z"), velocity.values.T)
     return shorter
 
 
@@ -242,14 +243,14 @@ def _bridged(flight: Flight, bad: np.ndarray, filled: np.ndarray) -> dict[str, n
     columns = dict(flight.columns)
     if not filled.any():
         return columns
-    t, good = flight.t, ~bad
-    attitudes = [names for names in ATTITUDES if set(names) <= set(columns)]
-    for names in (*attitudes, *((name,) for name in columns if name != "t" and name not in sum(attitudes, ()))):
+    together = [names for names in ATTITUDES if set(names) <= columns.keys()]
+    alone = [(name,) for name in without(columns, {"t", *chain(*together)})]
+    for names in (*together, *alone):
         values = flight.stack(names)
         if values.dtype.kind not in "fiu":
             continue
-        sphere, held = len(names) == 4, names[0].startswith(HELD) or values.dtype.kind != "f"
-        bridge = interpolate(t[good], values[good].astype(float), t[filled], sphere=sphere, held=held)
-        values[filled] = bridge
+        held = names[0].startswith(HELD) or values.dtype.kind != "f"
+        good = values[~bad].astype(float)
+        values[filled] = interpolate(flight.t[~bad], good, flight.t[filled], sphere=names in ATTITUDES, held=held)
         columns |= named(names, values.T)
     return columns

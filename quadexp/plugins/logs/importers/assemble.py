@@ -10,15 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from quadexp.errors import DataError, UsageError
-from quadexp.names import named
-from quadexp.physics.rotation import continuous
+from quadexp.log.runs import period_of
+from quadexp.names import distinct, named
 from quadexp.physics.state import norms
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.logs.importers.ground import LEAST_ROWS, without_ground
-from quadexp.plugins.logs.importers.mapping import PLACES, ROTORS, Crop, columns_of
+from quadexp.plugins.logs.importers.mapping import Crop
+from quadexp.plugins.logs.importers.quantities import ROTORS, columns_of, place_of
 from quadexp.plugins.logs.importers.raw import RawLog
-from quadexp.plugins.logs.signal import GAP_PERIODS, Stream, derivative
-from quadexp.plugins.logs.signal.resample import resample
+from quadexp.plugins.logs.signal import GAP_PERIODS, Stream, derivative, numbered
+from quadexp.plugins.logs.signal.resample import Resampled, resample
 from quadexp.plugins.logs.units import UNITS
 
 HELD = ("motor_command", "rotor_thrust", "battery_voltage", "wind")
@@ -31,7 +32,8 @@ SHORTEST = 5  # rows of a segment
 MOST_ROWS = 8_000_000  # 2 h at 1 kHz
 MOST_EMPTY = 20.0  # times as long as what has data: more is no gap, but a clock that jumps
 LONGEST = 7 * 86400.0  # s
-LIKELY_RATES = (20.0, 9000.0)  # Hz, of a log whose unit of time is wrong
+SLOWEST = 20.0  # Hz, of the rows of a log whose unit of time is wrong
+FASTEST = 9000.0  # Hz, likewise
 
 
 def assemble(
@@ -44,52 +46,46 @@ def assemble(
     what there is to say about the log. Raises DataError where too little is left.
     """
     notes = log.notes
-    streams = {name: Stream(s.t, s.values) for name, s in log.streams.items() if len(s.t) >= 2}
+    streams = {name: stream for name, stream in log.streams.items() if len(stream.t) >= 2}
     notes += [f"{name}: one row only: left out" for name in log.streams if name not in streams]
     _short_ones_out(streams, notes)
     core = [name for name in CORE if name in streams]
     if not core:
         raise DataError(f"{path}: has neither {', '.join(CORE[:-1])} nor {CORE[-1]} in two rows or more")
     _sort_rotors(path, streams, log.layout, vehicle, notes)
-    rates = {name: float(1 / np.median(np.diff(s.t))) for name, s in streams.items()}
+    rates = {name: 1 / period_of(stream.t) for name, stream in streams.items()}
     start = min(streams[name].t[0] for name in core)
     _check_clock(path, {name: streams[name] for name in core})
-    rate_given = rate is not None
     period = _shared_period(streams)
+    log.about["resampled"] = period is None or rate is not None
     if period is not None and (rate is None or abs(rate * period - 1) < UNIFORM):
-        t = streams[core[0]].t
-        values = {name: s.values for name, s in streams.items()}
-        segment = np.zeros(len(t), np.int32)
         rate = 1 / period
+        t = streams[core[0]].t
+        values = {name: stream.values for name, stream in streams.items()}
+        segment = np.zeros(len(t), np.int32)
     else:
         rate = rate or _common_rate({name: rates[name] for name in core})
         t, values, segment = _one_clock(path, streams, core, rate, notes)
     if len(t) < LEAST_ROWS:
         raise DataError(f"{path}: {len(t)} rows, {LEAST_ROWS} at least are needed")
-    between = np.zeros(len(t), bool)  # the rows of a reset, which are interpolated across it, and those of short pieces
-    for before, after in log.resets:
-        between |= (t > before) & (t < after)
+    kept = without_ground(t, values, log.crop if cropping else Crop("none"), notes)
+    for before, after in log.resets:  # what lies between is interpolated across it
+        kept &= (t <= before) | (t >= after)
         segment = segment + (t > before) + (t >= after)
     if log.resets:
-        between |= np.bincount(segment)[segment] < SHORTEST
-    columns = {"t": t}
-    for name in [*CORE[::-1], *(n for n in values if n not in CORE)]:
-        if name in values:
-            columns |= named(columns_of(name, values[name].shape[1]), values[name].T)
-    derived = "velocity" not in streams and "position" in streams
+        kept &= np.bincount(segment)[segment] >= SHORTEST
+    derived = "velocity" not in values and "position" in values
     if derived:
         velocity = derivative(t, values["position"], segment=segment, window=max(0.1, 5 / rate))
-        columns |= named(columns_of("velocity", 3), velocity.values.T)
+        values["velocity"] = velocity.values
         notes.append(f"velocity: derivative of the position, to {velocity.bandwidth:.3g} Hz")
-    columns["segment"] = segment
-    kept = without_ground(t, values, log.crop if cropping else Crop("none"), notes) & ~between
-    t0, t1 = float(t[kept][0] - start), float(t[kept][-1] - start)
-    if not kept.all():
-        columns = {name: column[kept] for name, column in columns.items()}
-    columns["t"] = columns["t"] - columns["t"][0]
-    stretches = np.concatenate([[0], np.cumsum(np.diff(np.flatnonzero(kept)) > 1)]) * 1_000_000
-    columns["segment"] = np.unique(columns["segment"] + stretches, return_inverse=True)[1].astype(np.int32)
-    log.about |= {"rate": float(rate), "rates": rates, "resampled": period is None or rate_given, "cropped": [t0, t1]}
+    columns = {"t": t[kept] - t[kept][0]}
+    names = [name for name in (*CORE[::-1], *values) if name in values]
+    for name in distinct(names):
+        columns |= named(columns_of(name, values[name].shape[1]), values[name][kept].T)
+    columns["segment"] = numbered(segment, kept)
+    cropped = [float(t[kept][i] - start) for i in (0, -1)]
+    log.about |= {"rate": float(rate), "rates": rates, "cropped": cropped}
     return columns, derived
 
 
@@ -101,27 +97,36 @@ def _short_ones_out(streams: dict[str, Stream], notes: list[str]) -> None:
             notes.append(f"{name}: {covered:.3g} s of {whole:.3g} s: left out")
             del streams[name]
 
-    spans = {name: streams[name].t[-1] - streams[name].t[0] for name in CORE if name in streams}
+    spans = {name: np.ptp(streams[name].t) for name in CORE if name in streams}
     for name, span in spans.items():
         leave_out(name, span, max(spans.values()), LEAST_SHARE["core"])
-    core = [streams[name].t for name in CORE if name in streams]
-    begin, finish = max((t[0] for t in core), default=0.0), min((t[-1] for t in core), default=0.0)
+    clocks = [streams[name].t for name in CORE if name in streams]
+    if not clocks:
+        return
+    begin = max(t[0] for t in clocks)
+    finish = min(t[-1] for t in clocks)
     for name in [name for name in streams if name.startswith("reference")]:
-        t = streams[name].t[(streams[name].t >= begin) & (streams[name].t <= finish)]
-        step = np.diff(t)
-        covered = float(step[step <= GAP_PERIODS * np.median(step)].sum()) if len(step) else 0.0
+        t = streams[name].t
+        step = np.diff(t[(t >= begin) & (t <= finish)])
+        covered = 0.0
+        if len(step):
+            no_gap = step <= GAP_PERIODS * np.median(step)
+            covered = step[no_gap].sum()
         leave_out(name, covered, finish - begin, LEAST_SHARE["reference"])
 
 
 def _check_clock(path: Path, streams: dict[str, Stream]) -> None:
     for name, stream in streams.items():
-        length, step = stream.t[-1] - stream.t[0], np.diff(stream.t)
-        covered = float(np.minimum(step, 10 * np.median(step)).sum())
+        length = np.ptp(stream.t)
+        step = np.diff(stream.t)
+        period = period_of(stream.t)
+        covered = np.minimum(step, 10 * period).sum()
         if length > min(MOST_EMPTY * covered, LONGEST):
-            row, what = int(np.argmax(step)), "its clock jumps, or the unit of its time is wrong"
+            row = int(np.argmax(step))
+            what = "its clock jumps, or the unit of its time is wrong"
             for unit in ("ms", "us", "ns"):
-                rate = 1 / (float(np.median(step)) * UNITS["time"][unit])
-                if LIKELY_RATES[0] <= rate <= LIKELY_RATES[1]:
+                rate = 1 / (period * UNITS["time"][unit])
+                if SLOWEST <= rate <= FASTEST:
                     what += f": in {unit} its rows come at {rate:.4g} Hz, which `unit: {unit}` under `time:` says"
                     break
             raise DataError(f"{path}: {name} spans {length:.6g} s, {step[row]:.6g} s of it after row {row}: {what}")
@@ -129,19 +134,22 @@ def _check_clock(path: Path, streams: dict[str, Stream]) -> None:
 
 def _shared_period(streams: dict[str, Stream]) -> float | None:
     """The period, where all streams share one uniform clock."""
-    first, *rest = streams.values()
-    if any(len(s.t) != len(first.t) or not (s.t is first.t or (s.t == first.t).all()) for s in rest):
+    t = next(iter(streams.values())).t
+    if not all(np.array_equal(stream.t, t) for stream in streams.values()):
         return None
-    step = np.diff(first.t)
-    period = float(first.t[-1] - first.t[0]) / len(step)
+    step = np.diff(t)
+    period = float(np.ptp(t)) / len(step)
     return period if np.abs(step - period).max() < UNIFORM * period else None
 
 
 def _common_rate(rates: dict[str, float]) -> float:
     """Rate of the accelerometer or gyro, but at most twice that of pose and velocity; a round number near it (Hz)."""
     slow = [rates[name] for name in ("attitude", "velocity", "position") if name in rates]
-    fast = next((rates[name] for name in ("acceleration", "rate") if name in rates), None)
-    wanted = min(fast, 2 * min(slow)) if fast and slow else fast or min(slow)
+    fast = [rates[name] for name in ("acceleration", "rate") if name in rates]
+    limits = fast[:1]
+    if slow:
+        limits.append(2 * min(slow) if fast else min(slow))
+    wanted = min(limits)
     for digits in (1, 2, 3):
         near = float(f"{wanted:.{digits}g}")
         if abs(near - wanted) < 0.005 * wanted:
@@ -149,31 +157,27 @@ def _common_rate(rates: dict[str, float]) -> float:
     return wanted
 
 
-def _one_clock(
-    path: Path, streams: dict[str, Stream], core: list[str], rate: float, notes: list[str]
-) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
-    """Times, (k,) (s), values and segments, (k,), of all streams at the rate (Hz), over the time the core has data."""
+def _one_clock(path: Path, streams: dict[str, Stream], core: list[str], rate: float, notes: list[str]) -> Resampled:
+    """All streams at the rate (Hz), over the time the core has data."""
     begin = max(streams[name].t[0] for name in core)
     end = min(streams[name].t[-1] for name in core)
     if (end - begin) * rate > MOST_ROWS:
         raise DataError(f"{path}: {end - begin:.4g} s at {rate:.4g} Hz are more than {MOST_ROWS} rows: lower --rate")
-    for name in [n for n in streams if n not in core]:
-        t, values = streams[name]
+    for name, (t, values) in list(streams.items()):
         if name in SLOW:  # its first and last value are held to both ends
             rows = np.concatenate([[t[0] > begin], np.ones(len(t), bool), [t[-1] < end]])
             padded = np.pad(values, ((1, 1), (0, 0)), mode="edge")
             streams[name] = Stream(np.concatenate([[begin], t, [end]])[rows], padded[rows])
-        elif t[0] > end or t[-1] < begin:
+        elif name not in core and (t[0] > end or t[-1] < begin):
             notes.append(f"{name}: has no time in common with {core[0]}: left out")
             del streams[name]
-    for name in QUATERNIONS:
-        if name in streams:
-            norm = norms(streams[name].values)
-            if not (np.abs(norm - 1) < 0.1).all():
-                row = int(np.argmax(np.abs(norm - 1)))
-                raise DataError(f"{path}: {name}: quaternion norm {norm[row]:.4g} at row {row}, 1 is needed")
-            streams[name] = Stream(streams[name].t, continuous(streams[name].values))
-    gaps = {name: np.inf for name in SLOW if name in streams}
+        elif name in QUATERNIONS:
+            beside = np.abs(norms(values) - 1)
+            row = int(np.argmax(beside))
+            if not beside[row] < 0.1:
+                norm = norms(values)[row]
+                raise DataError(f"{path}: {name}: quaternion norm {norm:.4g} at row {row}, 1 is needed")
+    gaps = dict.fromkeys(SLOW, np.inf)
     try:
         resampled = resample(streams, rate, quaternions=QUATERNIONS, held=HELD, gaps=gaps)
     except DataError as error:
@@ -181,18 +185,17 @@ def _one_clock(
     lost = int(np.round((end - begin) * rate)) + 1 - len(resampled.t)
     if resampled.segment[-1] or lost > 1:
         notes.append(f"gaps: {resampled.segment[-1] + 1} segments, {max(lost, 0) / rate:.3g} s without data")
-    return resampled.t, resampled.values, resampled.segment
+    return resampled
 
 
 def _sort_rotors(
     path: Path, streams: dict[str, Stream], layout: tuple[str, ...] | None, vehicle: Vehicle | None, notes: list[str]
 ) -> None:
     """Bring the streams of the rotors into the vehicle's order."""
-    signals = [name for name in ROTORS if name in streams]
-    if vehicle is None:
-        notes += ["rotors stand in the log's order: no --vehicle says which is where"] if signals else []
-        return
-    for name in signals:
+    for name in [name for name in ROTORS if name in streams]:
+        if vehicle is None:
+            notes.append("rotors stand in the log's order: no --vehicle says which is where")
+            return
         t, values = streams[name]
         if values.shape[1] != vehicle.n_rotors:
             raise DataError(f"{path}: {name} of {values.shape[1]} rotors, but {vehicle.name} has {vehicle.n_rotors}")
@@ -207,11 +210,9 @@ def rotor_order(layout: tuple[str, ...], vehicle: Vehicle) -> list[int]:
     """
     order = []
     for i, (x, y, _) in enumerate(vehicle.rotor_position):
-        reach = 0.2 * max(abs(x), abs(y))
-        sign = (0 if abs(x) < reach else int(np.sign(x)), 0 if abs(y) < reach else int(np.sign(y)))
-        places = [k for k, place in enumerate(layout) if PLACES[place] == sign]
-        if len(places) != 1:
+        place = place_of(x, y)
+        if layout.count(place) != 1:
             where = f"rotor {i} of {vehicle.name} is at x={x:g}, y={y:g} m"
             raise UsageError(f"the log's motors are {', '.join(layout)}, but {where}")
-        order.append(places[0])
+        order.append(layout.index(place))
     return order

@@ -14,8 +14,10 @@ from quadexp.plugins.logs.importers.mapping import Crop
 from quadexp.plugins.logs.signal.rest import REST_TIME, RUNNING, at_rest, flying_level, thrust_of
 
 LEAST_ROWS = 10  # of a flight
-REST_HEIGHT, REST_DISTANCE = 0.05, 0.1  # m: what counts as standing on the ground
-CLEARANCE, AUTO_MARGIN = 0.5, 1.5  # m above the ground; s cut off after take-off and before landing
+REST_HEIGHT = 0.05  # m above the lowest: stands on the ground
+REST_DISTANCE = 0.1  # m from where it begins or ends: stands there
+CLEARANCE = 0.5  # m above the ground
+AUTO_MARGIN = 1.5  # s cut off after take-off and before landing
 DIP = 0.2  # s: shorter losses of height or of its measurement do not end a stretch in the air
 LETTERS = {"acceleration": "f", "rate": "w", "velocity": "v"}
 
@@ -47,10 +49,20 @@ def crop(t: np.ndarray, height: np.ndarray, *, clearance: float, margin: float) 
             up[start:stop] = True
     kept = np.zeros(len(t), bool)
     for start, stop in runs(up):
-        low = t[start] + margin if start > 0 else -np.inf
-        high = t[stop - 1] - margin if stop < len(t) else np.inf
-        kept[start:stop] = (t[start:stop] >= low) & (t[start:stop] <= high)
+        kept |= _away(t, start, stop, margin, begins=start == 0, ends=stop == len(t))
     return kept
+
+
+def _away(t: np.ndarray, start: int, stop: int, margin: float, *, begins: bool, ends: bool) -> np.ndarray:
+    """Mask (k,) of the samples start..stop - 1 that lie `margin` (s) away from both ends, but for an end at which the
+    log begins or ends."""
+    away = np.zeros(len(t), bool)
+    away[start:stop] = True
+    if not begins:
+        away &= t >= t[start] + margin
+    if not ends:
+        away &= t <= t[stop - 1] - margin
+    return away
 
 
 def _in_flight(t: np.ndarray, values: dict[str, np.ndarray], notes: list[str]) -> np.ndarray:
@@ -62,25 +74,22 @@ def _in_flight(t: np.ndarray, values: dict[str, np.ndarray], notes: list[str]) -
     position = values.get("position")
     if position is not None:
         stands = _still_ends(t, position)
-        rest |= stands if thrust is None else stands & (thrust < RUNNING * flying_level(thrust, streams.get("f")))
+        if thrust is not None:
+            stands &= thrust < RUNNING * flying_level(thrust, streams.get("f"))
+        rest |= stands
     if not rest.any():
         return every
-    height = None if position is None else position[:, 2]
     kept = np.zeros(len(t), bool)
     for start, stop in runs(~rest):
-        up = np.arange(start, stop)
-        if height is not None:  # above where it stood before, and where it stands after
-            before = [height[start - 1]] if start > 0 else []
-            landed = [height[stop]] if stop < len(t) else []
-            high = [height[start:stop] > ground + CLEARANCE for ground in (*before, *landed)]
-            first = np.argmax(high[0]) if before and high[0].any() else 0
-            last = len(up) - 1 - (np.argmax(high[-1][::-1]) if landed and high[-1].any() else 0)
-            up = up[first : last + 1] if all(above.any() for above in high) else up[:0]
-        if not len(up):
-            continue
-        low = t[up[0]] + AUTO_MARGIN if start > 0 else -np.inf
-        top = t[up[-1]] - AUTO_MARGIN if stop < len(t) else np.inf
-        kept[up] = (t[up] >= low) & (t[up] <= top)
+        risen = landed = np.arange(start, stop)
+        begins = start == 0
+        ends = stop == len(t)
+        if position is not None and not begins:  # above where it stood before
+            risen = risen[position[risen, 2] > position[start - 1, 2] + CLEARANCE]
+        if position is not None and not ends:  # above where it stands after
+            landed = landed[position[landed, 2] > position[stop, 2] + CLEARANCE]
+        if len(risen) and len(landed):
+            kept |= _away(t, risen[0], landed[-1] + 1, AUTO_MARGIN, begins=begins, ends=ends)
     if kept.sum() < LEAST_ROWS:
         if rest.all() or thrust is not None:  # else it may as well hover
             notes.append("never moves: nothing is cropped" if rest.all() else "never in the air: nothing is cropped")
@@ -94,9 +103,9 @@ def _still_ends(t: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Mask of the rows in which the vehicle stands still on its lowest height at an end of the log for a while."""
     lowest = position[:, 2] < position[:, 2].min() + REST_HEIGHT
     rest = np.zeros(len(t), bool)
-    for end, order in ((0, slice(None)), (-1, slice(None, None, -1))):
-        still = (lowest & (norms(position - position[end]) < REST_DISTANCE))[order]
-        count = len(t) if still.all() else int(np.argmin(still))
-        if count and abs(t[order][count - 1] - t[order][0]) > REST_TIME:
-            rest[order][:count] = True
+    for end in (0, len(t) - 1):
+        still = lowest & (norms(position - position[end]) < REST_DISTANCE)
+        for start, stop in runs(still):
+            if start <= end < stop and t[stop - 1] - t[start] > REST_TIME:
+                rest[start:stop] = True
     return rest

@@ -34,65 +34,36 @@ import numpy as np
 from quadexp.errors import UsageError
 from quadexp.messages import suggestion
 from quadexp.parts.yaml_files import read_mapping
-from quadexp.plugins.logs.units import (
-    BODY_FRAMES,
-    ELECTRICAL,
-    UNITS,
-    WORLD_FRAMES,
-    axes_matrix,
-    mounting_matrix,
-    unit_factor,
-)
+from quadexp.plugins.logs.importers.quantities import PLACES, QUANTITIES, ROTORS, columns_of
+from quadexp.plugins.logs.units import ELECTRICAL, FRAMES, UNITS, axes_matrix, unit_factor
 
-
-class Quantity(NamedTuple):
-    """columns: of a flight; {} stands for the number of a rotor. dimension: of its units. keys: that it alone has."""
-
-    columns: tuple[str, ...]
-    dimension: str
-    keys: tuple[str, ...] = ()
-
-
-def _vector(name: str, axes: str = "xyz") -> tuple[str, ...]:
-    return tuple(f"{name}_{axis}" for axis in axes)
-
-
-QUANTITIES: dict[str, Quantity] = {
-    "position": Quantity(_vector("p"), "length"),
-    "attitude": Quantity(_vector("q", "wxyz"), "angle", ("order", "direction", "angles", "turn")),
-    "velocity": Quantity(_vector("v"), "velocity"),
-    "rate": Quantity(_vector("w"), "rate", ("mounting", "offset")),
-    "acceleration": Quantity(_vector("acc"), "acceleration", ("kind", "mounting", "offset")),
-    "motor_command": Quantity(("motor_command_{}",), "none", ("range", "layout")),
-    "rotor_speed": Quantity(("rotor_speed_{}",), "rotor_speed", ("layout", "pole_pairs")),
-    "rotor_thrust": Quantity(("u_{}",), "force", ("layout",)),
-    "thrust_acceleration": Quantity(("thrust_acceleration",), "acceleration"),
-    "battery_voltage": Quantity(("battery_voltage",), "voltage"),
-    "wind": Quantity(_vector("wind"), "velocity"),
-    "reference_position": Quantity(_vector("ref_p"), "length"),
-    "reference_velocity": Quantity(_vector("ref_v"), "velocity"),
-    "reference_attitude": Quantity(_vector("ref_q", "wxyz"), "angle", ("order", "direction")),
-}
-ROTORS = ("motor_command", "rotor_speed", "rotor_thrust")
-# Where the places of a rotor are, as signs of x and y in FLU.
-PLACES = {
-    "front_right": (1, -1), "back_right": (-1, -1), "back_left": (-1, 1), "front_left": (1, 1),
-    "front": (1, 0), "right": (0, -1), "back": (-1, 0), "left": (0, 1),
-}  # fmt: skip
-DIRECTIONS = ("body_to_world", "world_to_body")
-KINDS = ("specific_force", "coordinate")
 # Values of `format`.
 TABLES = ("text", "hdf5", "parquet")
 SELF_DESCRIBING = ("csv", "ulog", "rosbag", "ardupilot", "betaflight")
 IN_BODY = ("rate", "acceleration")  # unless `frame` says otherwise
-_TOP = ("name", "about", "format", "signature", "world", "body", "time", "crop", "corrections", *QUANTITIES)
+ADDITIONS = ("name", "about", "format", "crop", "corrections")  # to a log that says itself what its fields are
+_TOP = (*ADDITIONS, "signature", "world", "body", "time", *QUANTITIES)
 _ENTRY = ("column", "columns", "unit", "scale", "frame", "time")
+CORRECTED = {name: [key for key in quantity.keys if key != "layout"] for name, quantity in QUANTITIES.items()}
+CHOICES = {"kind": ("specific_force", "coordinate"), "direction": ("body_to_world", "world_to_body")}
 
 
-def columns_of(quantity: str, width: int) -> tuple[str, ...]:
-    """Names of the flight's columns that a stream of `width` values fills."""
-    names = QUANTITIES[quantity].columns
-    return tuple(names[0].format(i) for i in range(width)) if quantity in ROTORS else names
+class Numbers(NamedTuple):
+    """counts: how many they may be. what: they are. allowed: whether one of them is."""
+
+    counts: tuple[int, ...]
+    what: str
+    allowed: Callable[[float], bool] = math.isfinite
+
+
+NUMBERS = {
+    "mounting": Numbers((3,), "[roll, pitch, yaw] of the sensor in the body (deg)"),
+    "offset": Numbers((3,), "[x, y, z], the bias in SI units"),
+    "range": Numbers((2,), "[value of command 0, value of command 1]"),
+    "angles": Numbers((3,), "signs of roll, pitch and yaw, as [1, -1, 1]", lambda sign: abs(sign) == 1),
+    "turn": Numbers((1,), "degrees about the world's z axis"),
+    "pole_pairs": Numbers((1,), "a whole number from 1 to 100", lambda n: isinstance(n, int) and 1 <= n <= 100),
+}
 
 
 @dataclass(frozen=True)
@@ -118,27 +89,31 @@ class Clock(NamedTuple):
 class Entry:
     """One quantity. factor: to SI (times `scale`). axes: (3, 3) to ENU or FLU. in_body: whether that is FLU.
 
-    order: of a quaternion's columns, or "rpy" for angles. inverse: the log's attitude turns world into body vectors.
-    coordinate: the acceleration is that of the motion, without gravity. low, high: values of commands 0 and 1.
-    offset: bias of a sensor, taken off last (SI, body). angles: signs of roll, pitch and yaw; turn: about the world's
-    z axis (rad); both of an attitude from body to ENU.
+    order: of a quaternion's columns, or "rpy" for angles; world: (3, 3) to ENU, of an attitude, whose `axes` are to
+    FLU. The others as in a mapping: the values of commands 0 and 1; a sensor's mounting (deg) and bias, taken off last
+    (SI, body); signs of roll, pitch and yaw, and a turn about the world's z axis (deg), both from body to ENU.
     """
 
     columns: tuple[str, ...]
     factor: np.ndarray
     clock: Clock | None = None
+    layout: tuple[str, ...] = ()
     axes: np.ndarray = field(default_factory=lambda: np.eye(3))
     in_body: bool = False
-    order: str = "wxyz"
-    inverse: bool = False
     world: np.ndarray = field(default_factory=lambda: np.eye(3))
-    coordinate: bool = False
-    low: float = 0.0
-    high: float = 1.0
-    mounting: np.ndarray = field(default_factory=lambda: np.eye(3))
-    offset: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    angles: tuple[float, ...] = (1.0, 1.0, 1.0)
+    order: str = "wxyz"
+    direction: str = "body_to_world"
+    kind: str = "specific_force"
+    range: Sequence[float] = (0.0, 1.0)
+    mounting: Sequence[float] = (0.0, 0.0, 0.0)
+    offset: Sequence[float] = (0.0, 0.0, 0.0)
+    angles: Sequence[float] = (1.0, 1.0, 1.0)
     turn: float = 0.0
+
+    @property
+    def is_motion(self) -> bool:
+        """Whether an acceleration is that of the motion, without gravity."""
+        return self.kind == "coordinate"
 
 
 @dataclass(frozen=True)
@@ -157,8 +132,12 @@ class Mapping:
     @property
     def columns(self) -> list[str]:
         """All columns that are read."""
-        clocks = [self.clock, *(entry.clock for entry in self.entries.values() if entry.clock)]
-        return [*(c.column for c in clocks), *(name for e in self.entries.values() for name in e.columns)]
+        names = [self.clock.column]
+        for entry in self.entries.values():
+            names += entry.columns
+            if entry.clock:
+                names.append(entry.clock.column)
+        return names
 
 
 def load_mapping(path: Path) -> Mapping:
@@ -181,9 +160,12 @@ def correction(lines: dict[str, Any], widths: Mapped[str, int]) -> Mapping:
 def _lines(node: Any, prefix: str = "") -> dict[str, int]:
     """Dotted key -> line."""
     lines: dict[str, int] = {}
-    for key, value in node.value if getattr(node, "id", "") == "mapping" else ():
+    if getattr(node, "id", "") != "mapping":
+        return lines
+    for key, value in node.value:
         name = f"{prefix}{key.value}"
-        lines |= {name: key.start_mark.line + 1, **_lines(value, f"{name}.")}
+        lines[name] = key.start_mark.line + 1
+        lines |= _lines(value, f"{name}.")
     return lines
 
 
@@ -191,7 +173,8 @@ class _Reader:
     """Checks the values of one file; `lines` says where a key stands."""
 
     def __init__(self, path: Path, lines: Mapped[str, int]) -> None:
-        self.path, self.lines = path, lines
+        self.path = path
+        self.lines = lines
 
     def at(self, key: str) -> str:
         """The key with its file and line, or the line of what holds it."""
@@ -217,130 +200,136 @@ class _Reader:
                 where = f"{key}.{name}".removeprefix(".")
                 raise self.fail(where, f"unknown key{suggestion(name, allowed)}; allowed are {', '.join(allowed)}")
 
-    def numbers(
-        self, key: str, value: Any, counts: Sequence[int], what: str, allowed: Callable[[float], bool] = math.isfinite
-    ) -> list[float]:
+    def numbers(self, key: str, value: Any, wanted: Numbers) -> list[float]:
         """A number, or a list of so many of them, each finite and allowed."""
         items = value if isinstance(value, list) else [value]
-        real = all(isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in items)
-        if not real or len(items) not in counts or not all(map(allowed, items)):
-            raise self.fail(key, f"{value!r} must be {what}")
+        for item in items:
+            real = isinstance(item, (int, float)) and not isinstance(item, bool) and math.isfinite(item)
+            if not real or not wanted.allowed(item) or len(items) not in wanted.counts:
+                raise self.fail(key, f"{value!r} must be {wanted.what}")
         return items
 
     def mapping(self, values: dict[str, Any]) -> Mapping:
-        self.known("", values, _TOP)
         form = self.one_of("format", values.get("format", "text"), (*TABLES, *SELF_DESCRIBING))
+        clock = Clock("", 1.0)
+        entries: dict[str, Entry] = {}
+        widths = {name: len(quantity.columns) for name, quantity in QUANTITIES.items()}
         if form in SELF_DESCRIBING:
-            return self.additions(form, values)
-        if "time" not in values:
-            raise self.fail("time", "is missing: `time: {column: t, unit: s}`")
-        frames = {
-            kind: axes_matrix(kind, values.get(kind, usual), self.at(kind))
-            for kind, usual in (("world", "ENU"), ("body", "FLU"))
-        }
-        entries = {name: self.entry(name, values[name], frames) for name in QUANTITIES if values.get(name) is not None}
-        if not entries:
-            raise self.fail("time", f"a clock alone is no flight: give at least one of {', '.join(QUANTITIES)}")
-        layouts = {tuple(lay) for name in ROTORS if (lay := (values.get(name) or {}).get("layout"))}
+            self.known("", values, ADDITIONS)
+        else:
+            self.known("", values, _TOP)
+            clock = self.clock("time", values.get("time"))
+            entries = self.entries(values)
+            widths = {name: len(entry.columns) for name, entry in entries.items()}
+        layouts = {entry.layout for entry in entries.values() if entry.layout}
         if len(layouts) > 1:
             raise self.fail("layout", "two quantities with different layouts: one log has one order of motors")
         return Mapping(
-            str(values.get("name", self.path.stem)), form, self.clock("time", values["time"]), entries,
-            next(iter(layouts), None), self.crop(values.get("crop", "auto")),
-            tuple(map(str, values.get("signature") or [])), self.corrections(
-                values.get("corrections") or [], {name: len(entry.columns) for name, entry in entries.items()}
-            ),
-        )  # fmt: skip
+            name=str(values.get("name", self.path.stem)),
+            format=form,
+            clock=clock,
+            entries=entries,
+            layout=next(iter(layouts), None),
+            crop=self.crop(values.get("crop", "auto")),
+            signature=tuple(map(str, values.get("signature") or [])),
+            corrections=self.corrections(values.get("corrections") or [], widths),
+        )
 
-    def additions(self, form: str, values: dict[str, Any]) -> Mapping:
-        """What a mapping adds to a log that says itself what its fields are: ground phases and corrections."""
-        self.known("", values, ("name", "about", "format", "crop", "corrections"))
-        widths = {name: len(quantity.columns) for name, quantity in QUANTITIES.items()}
-        corrections = self.corrections(values.get("corrections") or [], widths)
-        crop = self.crop(values.get("crop", "auto"))
-        return Mapping(str(values.get("name", self.path.stem)), form, Clock("", 1.0), {}, None, crop, (), corrections)
+    def entries(self, values: dict[str, Any]) -> dict[str, Entry]:
+        """Every quantity that is there, one at least."""
+        world = axes_matrix("world", values.get("world", "ENU"), self.at("world"))
+        body = axes_matrix("body", values.get("body", "FLU"), self.at("body"))
+        frames = {"world": world, "body": body}
+        entries = {name: self.entry(name, values[name], frames) for name in QUANTITIES if values.get(name) is not None}
+        if not entries:
+            raise self.fail("time", f"a clock alone is no flight: give at least one of {', '.join(QUANTITIES)}")
+        return entries
 
-    def corrections(self, value: Any, entries: Mapped[str, int]) -> tuple[Mapping, ...]:
-        """Each as a mapping whose log is the flight that the other keys give. entries: columns by quantity."""
-        if not isinstance(value, list) or not all(isinstance(correction, dict) for correction in value):
+    def corrections(self, value: Any, widths: Mapped[str, int]) -> tuple[Mapping, ...]:
+        """Each as a mapping whose log is the flight that the other keys give. widths: columns by quantity."""
+        if not isinstance(value, list) or not all(isinstance(lines, dict) for lines in value):
             raise self.fail("corrections", "must be a list of lines of a mapping, such as `- rate: {unit: deg/s}`")
-        allowed = ("world", "body", "time", *entries)
+        allowed = ("world", "body", "time", *widths)
         reader = _Reader(self.path, dict.fromkeys(allowed, self.lines.get("corrections", 1)))
-        for key, lines in ((key, lines) for correction in value for key, lines in correction.items()):
-            if key not in allowed:
-                raise self.fail("corrections", f"{key!r}: allowed are {', '.join(allowed)}")
-            if key in entries:
-                keys = [name for name in QUANTITIES[key].keys if name != "layout"]
-                reader.known(key, lines, ("unit", "scale", "frame", *keys))
-            elif key == "time":
-                reader.known(key, lines, ("unit", "scale"))
-        return tuple(reader.correction(correction, entries) for correction in value)
+        corrections = []
+        for lines in value:
+            for key, stated in lines.items():
+                if key not in allowed:
+                    raise self.fail("corrections", f"{key!r}: allowed are {', '.join(allowed)}")
+                if key in widths:
+                    reader.known(key, stated, ("unit", "scale", "frame", *CORRECTED[key]))
+                elif key == "time":
+                    reader.known(key, stated, ("unit", "scale"))
+            corrections.append(reader.correction(lines, widths))
+        return tuple(corrections)
 
     def correction(self, lines: dict[str, Any], widths: Mapped[str, int]) -> Mapping:
         """Lines as a mapping of which streams in SI, ENU and FLU are the log. widths: columns by quantity."""
-        streams = {name: {"columns": list(columns_of(name, n)), **lines.get(name, {})} for name, n in widths.items()}
-        return self.mapping({**lines, **streams, "time": {"column": "t", **lines.get("time", {})}})
+        streams = dict(lines)
+        streams["time"] = {"column": "t", **lines.get("time", {})}
+        for name, width in widths.items():
+            streams[name] = {"columns": list(columns_of(name, width)), **lines.get(name, {})}
+        return self.mapping(streams)
 
     def clock(self, key: str, value: Any) -> Clock:
+        if value is None:
+            raise self.fail(key, "is missing: `time: {column: t, unit: s}`")
         self.known(key, value, ("column", "unit", "scale"))
         if not isinstance(value.get("column"), (str, int)):
             raise self.fail(f"{key}.column", "must name one column")
         factor = unit_factor("time", str(value.get("unit", "s")), self.at(f"{key}.unit"))
-        (scale,) = self.numbers(f"{key}.scale", value.get("scale", 1.0), [1], "one positive number", lambda x: x > 0)
+        wanted = Numbers((1,), "one positive number", lambda x: x > 0)
+        (scale,) = self.numbers(f"{key}.scale", value.get("scale", 1.0), wanted)
         return Clock(str(value["column"]), factor * scale)
 
     def entry(self, name: str, value: Any, frames: dict[str, np.ndarray]) -> Entry:
-        dimension, keys = QUANTITIES[name][1:]
+        _, dimension, keys = QUANTITIES[name]
         self.known(name, value, (*_ENTRY, *keys))
         columns = self.names(name, value)
-        options: dict[str, Any] = {"clock": self.clock(f"{name}.time", value["time"]) if "time" in value else None}
-        if dimension == "angle":
-            options |= self.attitude(name, value, len(columns), frames)
-        else:
-            options |= self.frame(name, value, frames)
-        factor, unit = 1.0, str(value.get("unit", next(iter(UNITS[dimension]))))
+        options: dict[str, Any] = {}
+        for key, stated in value.items():
+            if key in CHOICES:
+                options[key] = self.one_of(f"{name}.{key}", stated, CHOICES[key])
+            elif key in NUMBERS and stated is not None:
+                numbers = self.numbers(f"{name}.{key}", stated, NUMBERS[key])
+                options[key] = numbers if len(numbers) > 1 else numbers[0]
+        if "time" in value:
+            options["clock"] = self.clock(f"{name}.time", value["time"])
+        if value.get("layout"):
+            options["layout"] = self.layout(name, value["layout"], len(columns))
+        low, high = options.get("range", (0.0, 1.0))
+        if low == high:
+            raise self.fail(f"{name}.range", f"must be {NUMBERS['range'].what}, and these differ")
+        turned = self.attitude if dimension == "angle" else self.frame
+        options |= turned(name, value, frames)
+        if "mounting" in options and not options["in_body"]:
+            raise self.fail(f"{name}.mounting", "turns a sensor in the body, but `frame` says world")
+        factor = 1.0
+        unit = str(value.get("unit", next(iter(UNITS[dimension]))))
         if options.get("order", "rpy") == "rpy":  # a quaternion has no unit
             factor = unit_factor(dimension, unit, self.at(f"{name}.unit"))
         if name == "rotor_speed":
-            factor /= self.pole_pairs(unit, value.get("pole_pairs"))
-        if "kind" in value:
-            options["coordinate"] = self.one_of(f"{name}.kind", value["kind"], KINDS) == "coordinate"
-        if value.get("mounting") is not None:
-            if not options["in_body"]:
-                raise self.fail(f"{name}.mounting", "turns a sensor in the body, but `frame` says world")
-            what = "[roll, pitch, yaw] of the sensor in the body (deg)"
-            options["mounting"] = mounting_matrix(self.numbers(f"{name}.mounting", value["mounting"], [3], what))
-        if "offset" in value:
-            bias = self.numbers(f"{name}.offset", value["offset"], [3], "[x, y, z], the bias in SI units")
-            options["offset"] = np.array(bias, float)
-        if "range" in value:
-            what = "[value of command 0, value of command 1]"
-            low, high = map(float, self.numbers(f"{name}.range", value["range"], [2], what))
-            if low == high:
-                raise self.fail(f"{name}.range", f"must be {what}, and these differ")
-            options |= {"low": low, "high": high}
-        if value.get("layout"):
-            self.layout(name, value["layout"], len(columns))
-        what = "one number, or one a column, and not zero"
-        scale = self.numbers(f"{name}.scale", value.get("scale", 1.0), [1, len(columns)], what, bool)
+            factor /= self.pole_pairs(unit, options.pop("pole_pairs", None))
+        wanted = Numbers((1, len(columns)), "one number, or one a column, and not zero", bool)
+        scale = self.numbers(f"{name}.scale", value.get("scale", 1.0), wanted)
         return Entry(columns, factor * np.array(scale, float), **options)
 
-    def pole_pairs(self, unit: str, value: Any) -> float:
+    def pole_pairs(self, unit: str, pairs: float | None) -> float:
         """Turns of the field for one of the rotor, 1 for a unit that counts the rotor's own."""
-        key, electrical = "rotor_speed.pole_pairs", unit == ELECTRICAL
-        if electrical == (value is None):
-            text = f"goes with unit {ELECTRICAL}, not {unit}" if value is not None else f"is missing, with unit {unit}"
-            raise self.fail(key, f"{text}: magnets of the motor over two, as `pole_pairs: 7`")
-        what = "a whole number from 1 to 100"
-        pairs = 1 if value is None else value
-        return float(self.numbers(key, pairs, [1], what, lambda x: isinstance(x, int) and 1 <= x <= 100)[0])
+        if (unit == ELECTRICAL) == (pairs is None):
+            text = f"is missing, with unit {unit}" if pairs is None else f"goes with unit {ELECTRICAL}, not {unit}"
+            raise self.fail("rotor_speed.pole_pairs", f"{text}: magnets of the motor over two, as `pole_pairs: 7`")
+        return pairs or 1
 
     def names(self, name: str, value: dict[str, Any]) -> tuple[str, ...]:
         stated = value.get("columns", value.get("column"))
         if isinstance(stated, (str, int)) and not isinstance(stated, bool):
             stated = [stated]
-        width = len(QUANTITIES[name].columns)
-        least, most = (3, 4) if width == 4 else (1, 32) if name in ROTORS else (width, width)
+        least = most = len(QUANTITIES[name].columns)
+        if name in ROTORS:
+            most = 32
+        elif most == 4:  # a quaternion, or angles
+            least = 3
         if not isinstance(stated, list) or len(set(map(str, stated))) < len(stated) or not least <= len(stated) <= most:
             count = f"{least} to {most}" if least < most else str(least)
             raise self.fail(f"{name}.columns", f"must be a list of the log's columns: {count} are needed, each once")
@@ -349,52 +338,47 @@ class _Reader:
     def frame(self, name: str, value: dict[str, Any], frames: dict[str, np.ndarray]) -> dict[str, Any]:
         """axes and in_body of a vector; the body frame is the default of rate and acceleration."""
         key = f"{name}.frame"
-        if len(QUANTITIES[name].columns) != 3:
+        if not QUANTITIES[name].is_vector:
             if "frame" in value:
                 raise self.fail(key, "is of no use here: the quantity is no vector")
             return {}
         text = str(value.get("frame", "body" if name in IN_BODY else "world")).strip().lower()
         kind, _, axes = text.partition(" ")
-        if text in WORLD_FRAMES or text in BODY_FRAMES:
-            kind, axes = "world" if text in WORLD_FRAMES else "body", text
-            if kind == "body" and name not in (*IN_BODY, "velocity"):
-                raise self.fail(key, "must be a world frame")
-        elif kind not in frames:
-            allowed = ", ".join([*WORLD_FRAMES, *BODY_FRAMES]).upper()
-            raise self.fail(
-                key, f'{text!r} is not known; allowed: {allowed}, or axes such as "body x -y -z" or "world y x -z"'
-            )
+        if text in FRAMES:
+            kind = FRAMES[text]
+            axes = text
+        if kind not in frames:
+            allowed = ", ".join(FRAMES).upper()
+            example = 'or axes such as "body x -y -z" or "world y x -z"'
+            raise self.fail(key, f"{text!r} is not known; allowed: {allowed}, {example}")
+        if kind == "body" and name not in (*IN_BODY, "velocity"):
+            raise self.fail(key, "must be a world frame")
         return {"axes": axes_matrix(kind, axes, self.at(key)) if axes else frames[kind], "in_body": kind == "body"}
 
-    def attitude(self, name: str, value: dict[str, Any], count: int, frames: dict[str, Any]) -> dict[str, Any]:
-        order = str(value.get("order", "wxyz" if count == 4 else "rpy")).lower()
-        if count == 3 or sorted(order) != sorted("wxyz"):
-            self.one_of(f"{name}.order", order, ("wxyz", "xyzw") if count == 4 else ("rpy",))
-        direction = self.one_of(f"{name}.direction", value.get("direction", DIRECTIONS[0]), DIRECTIONS)
+    def attitude(self, name: str, value: dict[str, Any], frames: dict[str, np.ndarray]) -> dict[str, Any]:
+        """order, and the axes of world and body."""
+        four = len(value.get("columns", ())) == 4
+        order = str(value.get("order", "wxyz" if four else "rpy")).lower()
+        if not four or sorted(order) != sorted("wxyz"):
+            self.one_of(f"{name}.order", order, ("wxyz", "xyzw") if four else ("rpy",))
         if "frame" in value:
             raise self.fail(f"{name}.frame", "give the frames as `world:` and `body:` at the top")
         if np.linalg.det(frames["world"] @ frames["body"]) < 0:
             raise self.fail("body", "of the world and the body frame one is left-handed: no attitude joins them")
-        what = "signs of roll, pitch and yaw, as [1, -1, 1]"
-        signs = self.numbers(f"{name}.angles", value.get("angles", [1, 1, 1]), [3], what, lambda sign: abs(sign) == 1)
-        (turn,) = self.numbers(f"{name}.turn", value.get("turn", 0.0), [1], "degrees about the world's z axis")
-        return {
-            "order": order, "inverse": direction == DIRECTIONS[1], "axes": frames["body"], "world": frames["world"],
-            "angles": tuple(map(float, signs)), "turn": math.radians(turn),
-        }  # fmt: skip
+        return {"order": order, "axes": frames["body"], "world": frames["world"]}
 
-    def layout(self, name: str, value: Any, count: int) -> None:
+    def layout(self, name: str, value: Any, count: int) -> tuple[str, ...]:
         if not isinstance(value, list) or len(value) != count or len(set(map(str, value))) != count:
             raise self.fail(f"{name}.layout", f"must be {count} different places, one for every column")
-        for place in value:
-            self.one_of(f"{name}.layout", place, tuple(PLACES))
+        return tuple(self.one_of(f"{name}.layout", place, PLACES) for place in value)
 
     def crop(self, value: Any) -> Crop:
         if value in ("auto", "none", False, None):
             return Crop("auto" if value == "auto" else "none")
         self.known("crop", value, ("height", "margin"))
-        (margin,) = self.numbers("crop.margin", value.get("margin", 0.0), [1], "a number")
+        a_number = Numbers((1,), "a number")
+        (margin,) = self.numbers("crop.margin", value.get("margin", 0.0), a_number)
         if value.get("height") is None:
             return Crop("auto", None, float(margin))
-        (height,) = self.numbers("crop.height", value["height"], [1], "a number")
+        (height,) = self.numbers("crop.height", value["height"], a_number)
         return Crop("height", float(height), float(margin))

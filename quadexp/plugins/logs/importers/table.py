@@ -7,7 +7,6 @@ brackets stay part of the column's name. A file without a header has the names "
 
 from __future__ import annotations
 
-import contextlib
 import io
 import re
 from collections import Counter
@@ -87,30 +86,38 @@ def open_table(path: Path) -> Table:
 def _open_text(path: Path) -> Table:
     with open(path, "rb") as file:
         head = file.read(HEAD)
-    cut = 0 if len(head) < HEAD else head.rfind(b"\n") + 1 or HEAD  # a line that is not whole is no row
-    head = head[: cut or None]
+    if len(head) == HEAD:  # a line that is not whole is no row
+        head = head[: head.rfind(b"\n") + 1 or HEAD]
+    encoding = "utf-8"
     try:
-        encoding, text = "utf-8", head.decode("utf-8")
+        text = head.decode(encoding)
     except UnicodeDecodeError:  # a degree sign in a name, say
-        encoding, text = "latin-1", head.decode("latin-1")
+        encoding = "latin-1"
+        text = head.decode(encoding)
     lines = text.removeprefix("\ufeff").splitlines()
     if not lines or max(map(len, lines)) > LONGEST_LINE:
         raise DataError(f"{path}: not a table: no line ends within {LONGEST_LINE} characters")
     row, delimiter, decimal = _first_row(path, lines)
     width = len(_cells(lines[row], delimiter))
-    names = [str(i) for i in range(width)]
-    above = next((k for k in range(row - 1, -1, -1) if lines[k].strip()), None)
-    if above is not None:
-        comment, text = lines[above].lstrip().startswith(("#", "%")), lines[above].lstrip("#% ")
-        header = _cells(text, delimiter)
-        if len(header) != width and delimiter == " ":
-            header = text.replace(",", " ").split()
-        if len(header) == width:
-            names = header
-        elif above == row - 1 and not comment:
-            named = f"line {above + 1} names {len(header)} columns"
-            raise DataError(f"{path}: {named}, but line {row + 1} has {width} values")
+    names = _header(path, lines, row, delimiter, width) or [str(i) for i in range(width)]
     return Table(path, _unique(names), delimiter, row, encoding=encoding, decimal=decimal)
+
+
+def _header(path: Path, lines: list[str], row: int, delimiter: str, width: int) -> list[str]:
+    """The names in the last line above the first row of numbers; none where it is a comment or text of its own."""
+    above = next((k for k in range(row - 1, -1, -1) if lines[k].strip()), None)
+    if above is None:
+        return []
+    text = lines[above].lstrip("#% ")
+    names = _cells(text, delimiter)
+    if len(names) != width and delimiter == " ":
+        names = text.replace(",", " ").split()
+    if len(names) == width:
+        return names
+    if above == row - 1 and not lines[above].lstrip().startswith(("#", "%")):
+        named = f"line {above + 1} names {len(names)} columns"
+        raise DataError(f"{path}: {named}, but line {row + 1} has {width} values")
+    return []
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
@@ -122,25 +129,29 @@ def _cells(line: str, delimiter: str) -> list[str]:
 def _first_row(path: Path, lines: list[str]) -> tuple[int, str, str]:
     """The first line that is a row of numbers (two at least, and most of the cells), its delimiter and decimal sign: a
     comma where it does not separate cells, which have one in numbers of later lines too."""
-    commas = any(re.search(r"\d,\d", line) for line in lines) and not any(re.search(r"\d\.\d", line) for line in lines)
+    text = "\n".join(lines)
+    commas = re.search(r"\d,\d", text) is not None and re.search(r"\d\.\d", text) is None
     for row, line in enumerate(lines):
         if line.lstrip().startswith(("#", "%")):
             continue
+        decimal_comma = commas and (";" in line or "\t" in line)
         for delimiter, decimal in _DELIMITERS:
-            if (decimal == ",") != (commas and any(sign in line for sign in ";\t")):
+            if (decimal == ",") != decimal_comma:
                 continue
             cells = _cells(line, delimiter)
             numbers = sum(_is_number(cell.replace(decimal, ".")) for cell in cells)
             filled = sum(cell != "" for cell in cells)
-            if len(cells) >= (3 if delimiter == " " else 2) and numbers >= 2 and numbers >= 0.5 * filled:
+            if len(cells) >= (3 if delimiter == " " else 2) and numbers >= max(2, 0.5 * filled):
                 return row, delimiter, decimal
     raise DataError(f"{path}: not a table: no line of numbers in its first {len(lines)} lines")
 
 
 def _is_number(text: str) -> bool:
-    with contextlib.suppress(ValueError):
-        return float(text) is not None
-    return False
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _unique(names: Iterable[str]) -> tuple[str, ...]:

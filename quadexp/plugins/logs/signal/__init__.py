@@ -30,19 +30,19 @@ def as_stream(stream: Stream | tuple[np.ndarray, np.ndarray], name: str = "strea
 
     Raises DataError where fewer than two rows are left, or the clock does not increase.
     """
-    t, values = np.asarray(stream[0], float), np.asarray(stream[1], float)
-    values = values[:, None] if values.ndim == 1 else values
+    t = np.asarray(stream[0], float)
+    values = np.asarray(stream[1], float).reshape(len(t), -1)
     finite = np.isfinite(t) & finite_rows(values)
     if not finite.all():
-        t, values = t[finite], values[finite]
+        t = t[finite]
+        values = values[finite]
     if len(t) < 2:
         raise DataError(f"{name}: {len(t)} finite rows, two at least are needed")
     steps = np.diff(t)
     if steps.min() <= 0:
         row = int(np.argmin(steps > 0))
-        raise DataError(
-            f"{name}: the clock goes from {t[row]:.6f} to {t[row + 1]:.6f} s at row {row}: it must increase"
-        )
+        went = f"the clock goes from {t[row]:.6f} to {t[row + 1]:.6f} s at row {row}"
+        raise DataError(f"{name}: {went}: it must increase")
     return Stream(t, values)
 
 
@@ -50,13 +50,20 @@ def increasing(t: np.ndarray) -> np.ndarray:
     """Mask of the rows, (k,), that lie later than every row before them: what is left is strictly increasing."""
     t = np.asarray(t, float)
     filled = np.where(np.isfinite(t), t, -np.inf)
-    before = np.concatenate([[-np.inf], np.maximum.accumulate(filled)[:-1]])
+    latest = np.maximum.accumulate(filled)
+    before = np.concatenate([[-np.inf], latest[:-1]])
     return filled > before
 
 
 def stretches(t: np.ndarray, gap: float) -> list[slice]:
     """The rows between the gaps: maximal runs without a step longer than `gap` (s), single rows left out."""
     return [slice(start, stop + 1) for start, stop in runs(np.diff(t) <= gap)]
+
+
+def numbered(segment: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Numbers, from 0 on, of the uninterrupted stretches of the rows kept, of which a segment (k,) may have several."""
+    parts = np.column_stack([segment, np.cumsum(~kept)])[kept]
+    return np.unique(parts, axis=0, return_inverse=True)[1].ravel().astype(np.int32)
 
 
 class Derivative(NamedTuple):
@@ -79,27 +86,26 @@ def derivative(
     """
     from scipy.signal import savgol_filter
 
-    t, values = np.asarray(t, float), np.asarray(values, float)
+    t = np.asarray(t, float)
+    values = np.asarray(values, float)
     segment = np.zeros(len(t), int) if segment is None else np.asarray(segment)
     inside = np.diff(segment) == 0
     steps = np.diff(t)
     if not inside.any():
         raise DataError("no segment has two samples: there is no derivative")
     dt = float(np.median(steps[inside]))
-    off = np.abs(steps - dt) > 1e-3 * dt
-    if dt <= 0 or (off & inside).any():
-        row = int(np.argmax(off & inside))
+    off = inside & (np.abs(steps - dt) > 1e-3 * dt)
+    if dt <= 0 or off.any():
+        row = int(np.argmax(off))
         raise DataError(f"the clock steps by {steps[row]:.6g} s at row {row}, by {dt:.6g} s elsewhere: resample first")
     length = max(5, int(round(window / dt)) | 1)
     out = np.full(values.shape, np.nan)
-    bounds = np.concatenate([[0], np.flatnonzero(~inside) + 1, [len(t)]])
-    for start, stop in zip(bounds[:-1], bounds[1:], strict=True):
-        n = stop - start
-        length_here = min(length, n if n % 2 else n - 1)
-        if length_here >= 5:
-            out[start:stop] = savgol_filter(values[start:stop], length_here, ORDER, deriv=1, delta=dt, axis=0)
-        elif n >= 2:
-            out[start:stop] = np.gradient(values[start:stop], dt, axis=0)
+    for rows in np.split(np.arange(len(t)), np.flatnonzero(~inside) + 1):
+        fitted = min(length, len(rows) - 1 | 1)
+        if len(rows) >= 5:
+            out[rows] = savgol_filter(values[rows], fitted, ORDER, deriv=1, delta=dt, axis=0)
+        elif len(rows) > 1:
+            out[rows] = np.gradient(values[rows], dt, axis=0)
     return Derivative(out, bandwidth(length, dt))
 
 
@@ -112,5 +118,5 @@ def bandwidth(length: int, dt: float) -> float:
     frequency = np.linspace(1e-4, 0.5, 4000) / dt
     omega = 2 * np.pi * frequency
     gain = (np.sin(np.outer(omega, offsets)) @ taps) / omega
-    below = np.flatnonzero(gain < np.sqrt(0.5))
-    return float(frequency[below[0]] if len(below) else frequency[-1])
+    below = frequency[gain < np.sqrt(0.5)]
+    return float(below[0] if len(below) else frequency[-1])

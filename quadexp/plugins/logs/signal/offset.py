@@ -16,17 +16,17 @@ of WINDOW seconds, each looked for about where the stretches before say,
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.log.runs import period_of
-from quadexp.physics.rotation import continuous
+from quadexp.physics.state import norms, root_mean_square
 from quadexp.physics.vehicle import GRAVITY
 from quadexp.plugins.logs.signal import Stream, as_stream
-from quadexp.plugins.logs.signal.resample import resample
+from quadexp.plugins.logs.signal.resample import interpolate, resample
 from quadexp.plugins.logs.signal.windows import attitude_rate
 
 LARGEST = 0.5  # s
@@ -39,14 +39,22 @@ AMBIGUOUS = 0.97  # another peak as high as this share of the highest one
 LARGEST_ERROR = 0.02  # s
 LEAST_SAMPLES = 50  # of a stream; of fewer a correlation of 0.3 may be chance
 # Which stream is compared with which other one, and with what correlation: an accelerometer feels more than the motion.
-PAIRS = (("rate", "attitude", 0.7), ("acceleration", "velocity", 0.9), ("acceleration", "position", 0.9),
-         ("position", "velocity", 0.9))  # fmt: skip
-WINDOW, MOST_WINDOWS, LEAST_WINDOWS = 8.0, 24, 4  # s, and how many of them a line takes
+PAIRS = (
+    ("rate", "attitude", 0.7),
+    ("acceleration", "velocity", 0.9),
+    ("acceleration", "position", 0.9),
+    ("position", "velocity", 0.9),
+)
+MOTION = {"rate": ("attitude",), "acceleration": ("velocity", "position")}  # what a sensor is moved against
+WINDOW = 8.0  # s, of a stretch on the line
+MOST_WINDOWS = 24  # on a line
+LEAST_WINDOWS = 4  # on a line
 LEAST_DRIFT = 3e-4  # s/s: quartz keeps a tenth of that
 CLEARLY = 0.8  # of the misfit, below which the other side is taken to be late
 SURELY = 5.0  # standard errors of a drift, of the stretches' own and of their scatter about the line
 AROUND_LINE = 0.01  # s: what offsets of stretches may lie beside a line
-PARTS, PART = 6, 20.0  # how many stretches of a long flight are looked at, and how long (s)
+PARTS = 6  # stretches of a long flight that are looked at
+PART = 20.0  # s, of one of them
 
 
 class Offset(NamedTuple):
@@ -80,28 +88,31 @@ def estimate_offset(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.nd
 
     Raises DataError where there is too little common data or nothing moves.
     """
-    a, b = as_stream(a, "first stream"), as_stream(b, "second stream")
+    a = as_stream(a, "first stream")
+    b = as_stream(b, "second stream")
     rate = min(1 / period_of(a.t), 1 / period_of(b.t), 100.0)  # Hz, of the common clock
     common = resample({"a": a, "b": b}, rate, quaternions=(), least=2 * LARGEST)
     reach = int(np.ceil(LARGEST * rate)) + 1
-    pieces = [
-        tuple(_in_band(common.values[name][rows], rate) for name in "ab")
-        for rows in (np.flatnonzero(common.segment == k) for k in np.unique(common.segment))
-        if len(rows) > 4 * reach
-    ]
+    pieces = []
+    for number in np.unique(common.segment):
+        rows = common.segment == number
+        if rows.sum() > 4 * reach:
+            pieces.append([_in_band(common.values[name][rows], rate) for name in "ab"])
     if not pieces:
         raise DataError(f"less than {4 * LARGEST:g} s of common data: no offset can be estimated")
     sums, shortest = _sums(pieces, reach)
     total = sums.sum(axis=0)
-    if not (total[1].max() > 0 and total[2].max() > 0):
+    if not total[1:].max(axis=1).min() > 0:
         raise DataError("one of the streams does not move: no offset can be estimated")
     seconds, height, rival, at_edge = _peak(total, rate)
-    error, agrees = np.inf, False
+    error = np.inf
+    agrees = False
     if shortest >= BLOCK * rate:  # else all of it is in a moment or two
-        rest = [_peak(total - stretch, rate)[0] for stretch in sums]
+        without_one = [_peak(total - stretch, rate)[0] for stretch in sums]
         alone = np.array([_peak(stretch, rate)[0] for stretch in sums])
-        error = float(np.sqrt((len(rest) - 1) * np.var(rest)))
-        agrees = np.mean(np.abs(alone - seconds) < 4 * np.sqrt(len(rest)) * error + 0.002) > 0.7
+        error = float(np.sqrt((STRETCHES - 1) * np.var(without_one)))
+        near = np.abs(alone - seconds) < 4 * np.sqrt(STRETCHES) * error + 0.002
+        agrees = near.mean() > 0.7
     clear = height > LEAST_CORRELATION and rival < AMBIGUOUS and not at_edge
     certain = clear and agrees and error < LARGEST_ERROR and abs(seconds) <= LARGEST
     return Offset(seconds, error, height, rival, bool(certain))
@@ -121,27 +132,29 @@ def _in_band(values: np.ndarray, rate: float) -> np.ndarray:
     return np.where(np.abs(values) > rounding, values, 0.0)
 
 
-def _sums(pieces: list[tuple[np.ndarray, ...]], reach: int) -> tuple[np.ndarray, int]:
+def _sums(pieces: Sequence[Sequence[np.ndarray]], reach: int) -> tuple[np.ndarray, int]:
     """sum <a, b>, sum |a|^2 and sum |b|^2 by lag, (STRETCHES, 3, lags), of stretches that tell alike much; and the
     number of samples in the shortest stretch."""
     from scipy.signal import correlate
 
-    slopes = [np.sum(np.gradient(x, axis=0)[reach:-reach] ** 2, axis=1) for x, _ in pieces]
-    telling = np.cumsum(np.concatenate(slopes))
-    number = np.minimum((telling / max(telling[-1], 1e-300) * STRETCHES * 0.999999).astype(int), STRETCHES - 1)
-    sums, first = np.zeros((STRETCHES, 3, 2 * reach + 1)), 0
+    slopes = [np.gradient(x, axis=0)[reach:-reach] for x, _ in pieces]
+    telling = np.cumsum(np.sum(np.concatenate(slopes) ** 2, axis=1))
+    share = telling / max(telling[-1], 1e-300)
+    number = (share * STRETCHES * 0.999999).astype(int)
+    sums = np.zeros((STRETCHES, 3, 2 * reach + 1))
+    first = 0
     for x, y in pieces:
-        energy = np.concatenate([[0.0], np.cumsum(np.sum(y * y, axis=1))])
         inside = number[first : first + len(x) - 2 * reach]
         first += len(inside)
         for k in np.unique(inside):
             start, stop = np.searchsorted(inside, [k, k + 1])
-            chosen, around = x[start + reach : stop + reach], y[start : stop + 2 * reach]
-            sums[k, 0] += sum(
-                correlate(b, a, mode="valid", method="fft") for a, b in zip(chosen.T, around.T, strict=True)
-            )
-            sums[k, 1] += np.sum(chosen**2)
-            sums[k, 2] += (energy[stop - start :] - energy[: start - stop])[start : start + 2 * reach + 1]
+            a = x[start + reach : stop + reach]
+            b = y[start : stop + 2 * reach]
+            for axis in range(a.shape[1]):
+                sums[k, 0] += correlate(b[:, axis], a[:, axis], mode="valid", method="fft")
+            sums[k, 1] += np.sum(a**2)
+            energy = np.concatenate([[0.0], np.cumsum(np.sum(b * b, axis=1))])
+            sums[k, 2] += energy[stop - start :] - energy[: start - stop]
     return sums, int(np.bincount(number, minlength=STRETCHES).min())
 
 
@@ -150,38 +163,39 @@ def _peak(sums: np.ndarray, rate: float) -> tuple[float, float, float, bool]:
     from scipy.interpolate import CubicSpline
 
     dot, aa, bb = sums
-    correlation = dot / np.sqrt(np.maximum(aa * np.maximum(bb, 1e-12 * bb.max()), 1e-300))
+    bb = np.maximum(bb, 1e-12 * bb.max())
+    correlation = dot / np.sqrt(np.maximum(aa * bb, 1e-300))
     lags = (np.arange(len(dot)) - len(dot) // 2) / rate
     curve = CubicSpline(lags, correlation)
-    slopes = curve.derivative()
-    roots = [root for root in slopes.roots(extrapolate=False) if np.isfinite(root)]
-    peaks = [r for r in roots if slopes(r, 1) < 0] or [float(lags[np.argmax(correlation)])]
-    heights = np.array([float(curve(r)) for r in peaks])
-    best = int(np.argmax(heights))
-    others = np.delete(heights, best)
-    rival = float(max(0.0, others.max() / heights[best])) if len(others) and heights[best] > 0 else 0.0
-    return float(peaks[best]), float(heights[best]), rival, bool(correlation.max() > heights[best] + 1e-6)
+    flat = curve.derivative().roots(extrapolate=False)
+    peaks = [lag for lag in flat[np.isfinite(flat)] if curve(lag, 2) < 0]
+    if not peaks:
+        peaks = [lags[np.argmax(correlation)]]
+    *lower, (height, place) = sorted((float(curve(lag)), float(lag)) for lag in peaks)
+    rival = lower[-1][0] / height if lower and height > 0 else 0.0
+    return place, height, max(0.0, rival), bool(correlation.max() > height + 1e-6)
 
 
 def drifting(a: Stream, b: Stream) -> Offset | None:
     """Offset of b behind a that grows with time; None where it does not."""
     from scipy.stats import theilslopes
 
-    begin, end = max(a.t[0], b.t[0]) + LARGEST, min(a.t[-1], b.t[-1]) - LARGEST
+    begin = max(a.t[0], b.t[0]) + LARGEST
+    end = min(a.t[-1], b.t[-1]) - LARGEST
     count = min(int((end - begin) / WINDOW), MOST_WINDOWS)
     if count < LEAST_WINDOWS:
         return None
     known: list[Offset] = []
     middles: list[float] = []
     for middle in np.linspace(begin + WINDOW / 2, end - WINDOW / 2, count):
-        before = known[-1].seconds if known else 0.0
+        before = 0.0
+        if known:
+            before = known[-1].seconds
         if len(known) > 1:
             slope = (known[-1].seconds - known[0].seconds) / (middles[-1] - middles[0])
             before += slope * (middle - middles[-1])
-        near = np.abs(a.t - middle) < WINDOW / 2 + LARGEST
-        other = np.abs(b.t - before - middle) < WINDOW / 2 + LARGEST
         try:
-            offset = estimate_offset((a.t[near], a.values[near]), (b.t[other] - before, b.values[other]))
+            offset = estimate_offset(_about(a, middle), _about(Stream(b.t - before, b.values), middle))
         except DataError:
             continue
         if offset.correlation > LEAST_CORRELATION and offset.rival < AMBIGUOUS and abs(offset.seconds) < LARGEST:
@@ -189,25 +203,34 @@ def drifting(a: Stream, b: Stream) -> Offset | None:
             middles.append(float(middle))
     if len(known) < LEAST_WINDOWS:
         return None
-    t, tau = np.array(middles), np.array([offset.seconds for offset in known])
-    slope, _, low, high = theilslopes(tau, t, 0.95)
     middle = (begin + end) / 2
-    level = float(np.median(tau - slope * (t - middle)))
-    beside = tau - level - slope * (t - middle)
-    if abs(slope) < LEAST_DRIFT or low * high <= 0 or np.median(np.abs(beside)) > AROUND_LINE:
+    t = np.array(middles) - middle
+    tau = np.array([offset.seconds for offset in known])
+    slope, _, low, high = theilslopes(tau, t, 0.95)
+    level = float(np.median(tau - slope * t))
+    beside = tau - level - slope * t
+    typical = np.median(np.abs(beside))
+    grown = abs(slope) * np.ptp(t)
+    if abs(slope) < LEAST_DRIFT or low * high <= 0 or typical > min(AROUND_LINE, grown / 4):
         return None
-    if np.ptp(slope * t) < 4 * np.median(np.abs(beside)):
-        return None
-    errors, around = np.array([offset.error for offset in known]), t - t.mean()
+    errors = np.array([offset.error for offset in known])
+    finite = np.isfinite(errors)  # others are of stretches in which it moved for a moment only
+    errors[~finite] = errors[finite].max(initial=0.0)
     scatter = np.sqrt(np.sum(beside**2) / (len(known) - 2))
-    stated = errors[np.isfinite(errors)]  # others are of stretches in which it moved for a moment only
-    errors[~np.isfinite(errors)] = stated.max(initial=0.0)
-    of_slope = np.hypot(np.linalg.norm(around * errors), scatter * np.linalg.norm(around)) / np.sum(around**2)
+    around = t - t.mean()
+    lever = around / np.sum(around**2)
+    of_slope = np.hypot(np.linalg.norm(lever * errors), scatter * np.linalg.norm(lever))
     if not abs(slope) > SURELY * of_slope:
         return None
     error = float(np.hypot(np.linalg.norm(errors) / len(known), scatter / np.sqrt(len(known))))
     correlation = float(np.median([offset.correlation for offset in known]))
     return Offset(level, error, correlation, 0.0, True, float(slope), middle)
+
+
+def _about(stream: Stream, middle: float) -> Stream:
+    """A stretch of WINDOW seconds, and as much beside it as it may be late."""
+    near = np.abs(stream.t - middle) < WINDOW / 2 + LARGEST
+    return Stream(stream.t[near], stream.values[near])
 
 
 # ----------------------------------------------------------------------------------------------- streams of a flight
@@ -220,10 +243,13 @@ def find_offsets(streams: Mapping[str, Stream]) -> dict[tuple[str, str], Offset]
         if known or not {name, source} <= parts.keys():
             continue
         try:
-            offset = drifting(*_compared(name, source, streams)) or estimate_offset(*_compared(name, source, parts))
+            offset = drifting(*_compared(name, source, streams))
+            if offset is None:
+                offset = estimate_offset(*_compared(name, source, parts))
         except (DataError, ValueError, np.linalg.LinAlgError):
             continue
-        offsets[name, source] = offset._replace(certain=offset.certain and offset.correlation > correlation)
+        certain = offset.certain and offset.correlation > correlation
+        offsets[name, source] = offset._replace(certain=certain)
     return offsets
 
 
@@ -235,38 +261,36 @@ def aligned(streams: Mapping[str, Stream], offsets: Mapping[tuple[str, str], Off
     motors are on the clock of the one that is not. Unless the specific force turned into the world fits the motion
     better with others moved.
     """
-    named = {name: offset for (name, _), offset in offsets.items() if offset.certain}
-    first = [("position", named["position"], -1.0)] if "position" in named else []
-    of_rate = [("rate", -1.0)] if "rate" in named else []
-    of_force = [("acceleration", -1.0)] if "acceleration" in named else []
-    others = [[("attitude", 1.0), *of_force]] if of_rate else []
-    others += [[*of_rate, ("velocity", 1.0), ("position", 1.0)]] if of_force else []
-    shifts = []
-    for chosen in ([*of_rate, *of_force], *others):
-        moves = [
-            (name, named["rate" if name in ("rate", "attitude") else "acceleration"], sign) for name, sign in chosen
-        ]
-        shifts.append(_moved(streams, [*first, *moves]))
+    certain = {name: offset for (name, _), offset in offsets.items() if offset.certain}
+    sensors = [name for name in MOTION if name in certain]
+    shifts = [_shifted(streams, certain, ())]
+    for name in sensors:
+        shifts.append(_shifted(streams, certain, (name,)))
     misfits = [_misfit(shift) for shift in shifts]
-    best = min(range(len(shifts)), key=misfits.__getitem__)
+    best = int(np.argmin(misfits))
     if misfits[best] < CLEARLY * misfits[0]:
         return shifts[best]
-    known = [named[name].seconds for name in ("rate", "acceleration") if name in named]
-    if not known or max(known) > 0:
-        return shifts[0]
-    motion = [("attitude", 1.0)] if of_rate else []
-    motion += [("velocity", 1.0), ("position", 1.0)] if of_force else []
-    moves = [(name, named["rate" if name == "attitude" else "acceleration"], sign) for name, sign in motion]
-    return _moved(streams, [*first, *moves])
+    if sensors and all(certain[name].seconds <= 0 for name in sensors):
+        return _shifted(streams, certain, sensors)
+    return shifts[0]
 
 
-def _moved(streams: Mapping[str, Stream], moves: list[tuple[str, Offset, float]]) -> dict[str, Stream]:
-    moved = dict(streams)
-    for name, offset, sign in moves:
-        if name in moved:
-            t, values = moved[name]
-            moved[name] = Stream(t + sign * offset.at(t), values)
-    return moved
+def _shifted(
+    streams: Mapping[str, Stream], offsets: Mapping[str, Offset], others: Collection[str]
+) -> dict[str, Stream]:
+    """Streams moved by their offsets; in place of the sensors `others` the motion that these are compared with."""
+    shifted = dict(streams)
+    for sensor, offset in offsets.items():
+        sign = -1.0
+        moved: tuple[str, ...] = (sensor,)
+        if sensor in others:
+            sign = 1.0
+            moved = MOTION[sensor]
+        for name in moved:
+            if name in shifted:
+                t, values = shifted[name]
+                shifted[name] = Stream(t + sign * offset.at(t), values)
+    return shifted
 
 
 def _misfit(streams: Mapping[str, Stream]) -> float:
@@ -276,14 +300,15 @@ def _misfit(streams: Mapping[str, Stream]) -> float:
     motion = streams.get("velocity") or streams.get("position")
     if motion is None or not {"attitude", "acceleration"} <= streams.keys():
         return 0.0
-    motion = spread(motion)
-    slopes = _slopes(motion) if "velocity" in streams else _slopes(_slopes(motion))
-    (t, f), attitude = streams["acceleration"], streams["attitude"]
-    q = np.stack([np.interp(t, attitude.t, column) for column in continuous(attitude.values).T], axis=-1)
-    pushed = Rotation.from_quat(q, scalar_first=True).apply(f)
-    seen = np.stack([np.interp(slopes.t, t, column) for column in pushed.T], axis=-1)
-    gap = _in_band(seen - slopes.values - [0.0, 0.0, GRAVITY], 1 / period_of(slopes.t))
-    return float(np.sqrt(np.mean(gap**2)))
+    slopes = _slopes(spread(motion))
+    if "velocity" not in streams:
+        slopes = _slopes(slopes)
+    t, force = streams["acceleration"]
+    q = interpolate(*streams["attitude"], t, sphere=True)
+    push = Rotation.from_quat(q, scalar_first=True).apply(force)
+    seen = interpolate(t, push, slopes.t)
+    gap = seen - slopes.values - [0.0, 0.0, GRAVITY]
+    return root_mean_square(_in_band(gap, 1 / period_of(slopes.t)))
 
 
 def spread(stream: Stream) -> Stream:
@@ -292,7 +317,8 @@ def spread(stream: Stream) -> Stream:
     length = float(t[-1] - t[0])
     if length <= PARTS * PART:
         return stream
-    kept = ((t - t[0]) / length * PARTS) % 1.0 * length / PARTS < PART
+    since = (t - t[0]) % (length / PARTS)
+    kept = since < PART
     return Stream(t[kept], values[kept])
 
 
@@ -311,14 +337,18 @@ def turning_offset(attitude: Stream, rate: Stream) -> Offset | None:
 
 def _compared(name: str, source: str, streams: Mapping[str, Stream]) -> tuple[Stream, Stream]:
     """What a stream shall follow, and what is compared with it."""
-    late, early = streams[name], streams[source]
+    late = streams[name]
+    early = streams[source]
     if name == "rate":
         return _turning(early), late
     if name == "position":
         return early, _slopes(late)
     # Sizes do not depend on the attitude, whose own delay would turn gravity into a force along x and y.
-    motion = _slopes(early) if source == "velocity" else _slopes(_slopes(early))
-    return _size(Stream(motion.t, motion.values + [0.0, 0.0, GRAVITY])), _size(late)
+    motion = _slopes(early)
+    if source == "position":
+        motion = _slopes(motion)
+    force = Stream(motion.t, motion.values + [0.0, 0.0, GRAVITY])
+    return _size(force), _size(late)
 
 
 def _slopes(stream: Stream) -> Stream:
@@ -328,8 +358,9 @@ def _slopes(stream: Stream) -> Stream:
 
 def _between(t: np.ndarray, values: np.ndarray) -> Stream:
     near = np.diff(t) < 3.5 * period_of(t)
-    return Stream(((t[1:] + t[:-1]) / 2)[near], values[near])
+    middle = (t[1:] + t[:-1]) / 2
+    return Stream(middle[near], values[near])
 
 
 def _size(stream: Stream) -> Stream:
-    return Stream(stream.t, np.linalg.norm(stream.values, axis=1, keepdims=True))
+    return Stream(stream.t, norms(stream.values)[:, None])

@@ -56,89 +56,75 @@ def resample(
     """
     clean = {name: as_stream(stream, name) for name, stream in streams.items()}
     limit = {name: GAP_PERIODS * max(period_of(s.t), 1 / rate) for name, s in clean.items()} | dict(gaps or {})
-    start = max(s.t[0] for s in clean.values())
-    end = min(s.t[-1] for s in clean.values())
+    latest = max(clean, key=lambda name: clean[name].t[0])
+    earliest = min(clean, key=lambda name: clean[name].t[-1])
+    start = clean[latest].t[0]
+    end = clean[earliest].t[-1]
     slack = ON_CLOCK / rate
-    for name in held:
-        if name not in clean:
-            continue
+    for name in [name for name in held if name in clean]:
         # On its clock where that is as fast as the new one: else its values are up to a period older than they say.
-        at = int(np.searchsorted(clean[name].t, start - slack))
-        if at < len(clean[name].t) and abs(period_of(clean[name].t) * rate - 1) < SAME_RATE - 1:
-            start = max(start, float(clean[name].t[at]))
+        clock = clean[name].t
+        later = clock[clock >= start - slack]
+        if len(later) and abs(period_of(clock) * rate - 1) < SAME_RATE - 1:
+            start = max(start, later[0])
             break
-    count = int(np.floor((end - start) * rate + 1e-3)) + 1 if end >= start else 0
+    count = int(np.floor((end - start) * rate + 1e-3)) + 1
     if count < 2:
-        latest = max(clean, key=lambda name: clean[name].t[0])
-        earliest = min(clean, key=lambda name: clean[name].t[-1])
         raise DataError(f"{latest} starts at {start:.3f} s, {earliest} ends at {end:.3f} s: no time in common")
     t = start + np.arange(count) / rate
-    kept = np.ones(count, bool)
-    pieces = {}
+    values = {}
     for name, stream in clean.items():
-        pieces[name] = stretches(stream.t, limit[name])
-        covered = np.zeros(count, bool)
-        for piece in pieces[name]:
-            low, high = np.searchsorted(t, [stream.t[piece.start] - slack, stream.t[piece.stop - 1] + slack])
-            covered[low:high] = True
-        kept &= covered
-    segment = np.cumsum(np.concatenate([[True], kept[1:] & ~kept[:-1]])) - 1
-    segment -= segment[np.argmax(kept)]
-    short = np.bincount(segment[kept], minlength=1) < max(2, least * rate)
-    kept[kept] = ~short[segment[kept]]
+        way = Way(rate, name in quaternions, name in held)
+        values[name] = _on_clock(stream, t, limit[name], way)
+    kept = np.logical_and.reduce([np.isfinite(x[:, 0]) for x in values.values()])
+    segment = np.cumsum(np.diff(kept, prepend=False) & kept)
+    long = np.bincount(segment[kept], minlength=1) >= max(2, least * rate)
+    kept &= long[segment]
     if not kept.any():
         raise DataError(f"the streams {', '.join(clean)} have no {least:g} s in common without a gap")
     _, number = np.unique(segment[kept], return_inverse=True)
-    values = {
-        name: _on_clock(stream, pieces[name], t, rate, slack, name in quaternions, name in held)[kept]
-        for name, stream in clean.items()
-    }
-    return Resampled(t[kept], values, number.astype(np.int32))
+    return Resampled(t[kept], {name: x[kept] for name, x in values.items()}, number.astype(np.int32))
 
 
-def _on_clock(
-    stream: Stream, pieces: list[slice], t: np.ndarray, rate: float, slack: float, sphere: bool, held: bool
-) -> np.ndarray:
-    """One stream at the times t; NaN in its gaps."""
-    values = continuous(stream.values) if sphere else stream.values
+class Way(NamedTuple):
+    """rate: of the new clock (Hz). sphere: whether the values are quaternions. held: whether they stay until the next
+    one comes."""
+
+    rate: float
+    sphere: bool
+    held: bool
+
+
+def _on_clock(stream: Stream, t: np.ndarray, gap: float, way: Way) -> np.ndarray:
+    """One stream at the times t; NaN in its gaps, which are longer than `gap` (s)."""
+    slack = ON_CLOCK / way.rate
+    values = continuous(stream.values) if way.sphere else stream.values
     out = np.full((len(t), values.shape[1]), np.nan)
-    for piece in pieces:
-        clock, data = stream.t[piece], values[piece]
-        low, high = np.searchsorted(t, [clock[0] - slack, clock[-1] + slack])
-        at = t[low:high]
-        if not len(at):
-            continue
-        out[low:high] = _stretch(clock, data, at, rate, slack, sphere, held)
+    for piece in stretches(stream.t, gap):
+        clock = stream.t[piece]
+        inside = slice(*np.searchsorted(t, [clock[0] - slack, clock[-1] + slack]))
+        if len(t[inside]):
+            out[inside] = _stretch(clock, values[piece], t[inside], way)
     return out
 
 
-def _stretch(
-    times: np.ndarray, data: np.ndarray, at: np.ndarray, rate: float, slack: float, sphere: bool, held: bool
-) -> np.ndarray:
+def _stretch(times: np.ndarray, data: np.ndarray, at: np.ndarray, way: Way) -> np.ndarray:
     """Values, (k, d), at the times `at`, (k,), of one piece without gaps: taken over, low-passed or interpolated."""
-    near = np.clip(np.searchsorted(times, at + slack, side="right") - 1, 0, len(times) - 1)
-    if np.abs(times[near] - at).max() <= slack and 1 / period_of(times) < SAME_RATE * rate:
+    from scipy.signal import resample_poly
+
+    slack = ON_CLOCK / way.rate
+    faster = 1 / (period_of(times) * way.rate)
+    near = _latest(times, at + slack)
+    if np.abs(times[near] - at).max() <= slack and faster < SAME_RATE:
         return data[near]
-    factor = int(np.ceil(1 / (period_of(times) * rate) / SAME_RATE))
+    factor = int(np.ceil(faster / SAME_RATE))
     if factor < 2:
-        return interpolate(times, data, at, sphere=sphere, held=held)
-    half = len(low_pass(factor)) // 2
-    grid = at[0] + np.arange((len(at) - 1) * factor + 1) / (rate * factor)
-    fine = interpolate(times, data, grid, sphere=sphere, held=held)
-    smooth = np.stack([_filter(column, factor, half) for column in fine.T], axis=-1)
-    return smooth / np.linalg.norm(smooth, axis=1, keepdims=True) if sphere else smooth
-
-
-def _filter(x: np.ndarray, factor: int, half: int) -> np.ndarray:
-    """Low-pass x and take every factor-th sample; the ends are continued by point reflection, which keeps lines."""
-    from scipy.signal import upfirdn
-
-    reach = min(half, len(x) - 1)
-    padded = np.concatenate([2 * x[0] - x[reach:0:-1], x, 2 * x[-1] - x[-2 : -reach - 2 : -1]])
-    lead = -2 * half % factor  # so that one in every `factor` outputs lies on a sample that is kept
-    padded = np.pad(padded, (half - reach + lead, half - reach), mode="edge")
-    first = (2 * half + lead) // factor
-    return upfirdn(low_pass(factor), padded, down=factor)[first : first + (len(x) - 1) // factor + 1]
+        return interpolate(times, data, at, sphere=way.sphere, held=way.held)
+    grid = at[0] + np.arange((len(at) - 1) * factor + 1) / (way.rate * factor)
+    fine = interpolate(times, data, grid, sphere=way.sphere, held=way.held)
+    # the ends are continued by point reflection, which keeps lines
+    smooth = resample_poly(fine, 1, factor, window=low_pass(factor), padtype="antireflect")
+    return smooth / norms(smooth)[:, None] if way.sphere else smooth
 
 
 @lru_cache(maxsize=64)
@@ -151,6 +137,11 @@ def low_pass(factor: int) -> np.ndarray:
     return firwin(taps | 1, (0.5 + PASSBAND) / factor, window=("kaiser", beta))
 
 
+def _latest(t: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """The last row of t that is not later than each time, (k,); the first one where all are."""
+    return np.maximum(np.searchsorted(t, at, side="right") - 1, 0)
+
+
 def interpolate(
     t: np.ndarray, values: np.ndarray, at: np.ndarray, *, sphere: bool = False, held: bool = False
 ) -> np.ndarray:
@@ -161,12 +152,12 @@ def interpolate(
 
     at = np.clip(at, t[0], t[-1])
     if held:
-        return values[np.clip(np.searchsorted(t, at + 1e-9, side="right") - 1, 0, len(t) - 1)]
-    if sphere:
-        whole = norms(values) > 0  # NaN is not; what is left out here is refused elsewhere
-        if whole.sum() < 2:
-            return np.full((len(at), values.shape[1]), np.nan)
-        t, values = t[whole], values[whole]
-        at = np.clip(at, t[0], t[-1])
-        return Slerp(t, Rotation.from_quat(values, scalar_first=True))(at).as_quat(scalar_first=True)
-    return np.stack([PchipInterpolator(t, column)(at) for column in values.T], axis=-1)
+        return values[_latest(t, at + 1e-9)]
+    if not sphere:
+        return PchipInterpolator(t, values)(at)
+    whole = norms(values) > 0  # NaN is not; what is left out here is refused elsewhere
+    if whole.sum() < 2:
+        return np.full((len(at), values.shape[1]), np.nan)
+    t = t[whole]
+    along = Slerp(t, Rotation.from_quat(values[whole], scalar_first=True))
+    return along(np.clip(at, t[0], t[-1])).as_quat(scalar_first=True)

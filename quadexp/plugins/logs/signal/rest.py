@@ -18,8 +18,11 @@ from quadexp.physics.state import norms
 from quadexp.physics.vehicle import GRAVITY
 
 REST_TIME = 0.5  # s
-LOW, RUNNING = 0.3, 0.5  # of the thrust in flight: motors off or idle, and motors that may carry the vehicle
-STILL_FORCE, STILL_RATE, STILL_SPEED = 0.5, 0.05, 0.1  # m/s^2, rad/s, m/s: bias and noise of sensors at rest
+LOW = 0.3  # of the thrust in flight: motors off or idle
+RUNNING = 0.5  # of the thrust in flight: motors that may carry the vehicle
+STILL_FORCE = 0.5  # m/s^2: bias and noise of an accelerometer at rest
+STILL_RATE = 0.05  # rad/s, of a gyro
+STILL_SPEED = 0.1  # m/s
 SHORT_BREAK = 0.3  # s: a knock does not end a rest
 
 
@@ -31,20 +34,19 @@ def at_rest(
     t: (k,) s. streams: f, w, v (k, 3) by letter, those that there are. thrust: (k,), any unit that is 0 with motors
     off, or None. motionless: whether stillness counts too, not only motors that are off.
     """
-    width = max(3, round(REST_TIME / period_of(t)))
-    if len(t) < 2 * width:
-        return np.zeros(len(t), bool)
+    step = period_of(t)
+    width = max(3, round(REST_TIME / step))
     rest = np.zeros(len(t), bool)
-    if motionless and "f" in streams and "w" in streams:
-        rest |= _still(streams, width)
+    if len(t) < 2 * width:
+        return rest
+    if motionless and {"f", "w"} <= streams.keys():
+        rest = _still(streams, width)
     if thrust is not None:
         level = flying_level(thrust, streams.get("f"))
-        rest &= thrust < RUNNING * level
         off = thrust < LOW * level
-        if "f" in streams:
-            off &= _carried(streams["f"], width)
-        rest |= off
-    step = period_of(t)
+        if "f" in streams:  # and it does not fall
+            off &= norms(_mean(streams["f"], width)) > 0.5 * GRAVITY
+        rest = (rest & (thrust < RUNNING * level)) | off
     for start, stop in runs(~rest):
         if start > 0 and stop < len(t) and (stop - start) * step < SHORT_BREAK:
             rest[start:stop] = True
@@ -62,7 +64,8 @@ def flying_level(thrust: np.ndarray, force: np.ndarray | None = None) -> float:
     if force is None:
         return float(np.median(thrust[thrust > 0.1 * peak]))
     flies = thrust > 0.05 * peak
-    return float(np.median(thrust[flies] * GRAVITY / np.maximum(norms(force[flies]), 0.3 * GRAVITY)))
+    size = np.maximum(norms(force[flies]), 0.3 * GRAVITY)
+    return float(np.median(thrust[flies] * GRAVITY / size))
 
 
 def thrust_of(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
@@ -70,24 +73,24 @@ def thrust_of(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
     for name in ("rotor_speed", "motor_command", "rotor_thrust", "u", "thrust_acceleration"):
         if name in columns:
             signal = np.nan_to_num(np.asarray(columns[name], float))
-            signal = np.clip(signal, 0.0, 1.0) if name == "motor_command" else signal  # what is beyond is no command
-            return np.sum(signal**2 if name in ("rotor_speed", "motor_command") else signal, axis=1)
+            if name == "motor_command":
+                signal = np.clip(signal, 0.0, 1.0)  # what is beyond is no command
+            if name in ("rotor_speed", "motor_command"):
+                signal = signal**2
+            return signal.sum(axis=1)
     return None
 
 
 def _still(streams: Mapping[str, np.ndarray], width: int) -> np.ndarray:
     """Mask (k,): the specific force is gravity, and nothing moves, over `width` samples."""
-    f, w = streams["f"], streams["w"]
+    f = streams["f"]
+    w = streams["w"]
     still = np.abs(norms(_mean(f, width)) - GRAVITY) < STILL_FORCE
-    still &= (_spread(f, width) < STILL_FORCE) & (_spread(w, width) < STILL_RATE)
+    still &= _spread(f, width) < STILL_FORCE
+    still &= _spread(w, width) < STILL_RATE
     if "v" in streams:
         still &= norms(_mean(streams["v"], width)) < STILL_SPEED
     return still
-
-
-def _carried(f: np.ndarray, width: int) -> np.ndarray:
-    """Mask (k,): the accelerometer reads a force, so that the vehicle does not fall."""
-    return norms(_mean(f, width)) > 0.5 * GRAVITY
 
 
 def _mean(x: np.ndarray, width: int) -> np.ndarray:

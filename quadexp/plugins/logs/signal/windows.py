@@ -81,11 +81,18 @@ class Windows:
     @cached_property
     def rotation(self) -> np.ndarray:
         """R(q), (n, 2m + 1, 3, 3); where q is zero, the identity."""
-        return rotations(self.streams["q"]).as_matrix().reshape(*self.t.shape, 3, 3)
+        matrices = rotations(self.streams["q"]).as_matrix()
+        return matrices.reshape(*self.t.shape, 3, 3)
+
+    @cached_property
+    def push(self) -> np.ndarray:
+        """R f, (n, 2m + 1, 3) (m/s^2)."""
+        return np.einsum("nlij,nlj->nli", self.rotation, self.streams["f"])
 
     def every(self, step: int) -> Windows:
         """Every step-th window."""
-        return Windows(self.t[::step], {name: values[::step] for name, values in self.streams.items()})
+        streams = {name: values[::step] for name, values in self.streams.items()}
+        return Windows(self.t[::step], streams)
 
 
 class Pair(NamedTuple):
@@ -105,7 +112,8 @@ def cut(
 ) -> Windows:
     """Windows of streams (k, m) over times t (k,) without a gap in the clock, another segment or a bad sample."""
     samples = window_samples(t, good, segment)
-    return Windows(t[samples], {name: streams[name][samples] for name in STREAMS if name in streams})
+    chosen = {name: streams[name][samples] for name in STREAMS if name in streams}
+    return Windows(t[samples], chosen)
 
 
 def window_samples(t: np.ndarray, good: np.ndarray, segment: np.ndarray | None = None) -> np.ndarray:
@@ -114,49 +122,54 @@ def window_samples(t: np.ndarray, good: np.ndarray, segment: np.ndarray | None =
     onward = np.isfinite(step) & (step > 0)
     dt = float(np.median(step[onward])) if onward.any() else np.inf
     half = max(2, int(round(WINDOW / dt)))
-    broken = ~(onward & (step < 3.5 * dt)) | ~good[1:] | ~good[:-1]
+    whole = onward & (step < 3.5 * dt) & good[1:] & good[:-1]
     if segment is not None:
-        broken |= np.diff(segment) != 0
-    breaks = np.concatenate([[0], np.cumsum(broken)])
+        whole &= np.diff(segment) == 0
+    breaks = np.concatenate([[0], np.cumsum(~whole)])
     first = np.arange(0, len(t) - 2 * half, half)
-    first = first[breaks[first] == breaks[first + 2 * half]]
+    last = first + 2 * half
+    first = first[breaks[first] == breaks[last]]
     if len(first) > MOST_WINDOWS:
-        first = first[np.linspace(0, len(first) - 1, MOST_WINDOWS).astype(int)]
+        spread = np.linspace(0, len(first) - 1, MOST_WINDOWS)
+        first = first[spread.astype(int)]
     return first[:, None] + np.arange(2 * half + 1)
 
 
 def pairs(windows: Windows, touching: str = "tpqvwf") -> list[Pair]:
     """Every relation that the streams at hand allow and that has one of the streams `touching`."""
-    t, streams = windows.t, windows.streams
-    p, q, v, w, f = (streams.get(name) for name in "pqvwf")
-
-    def wanted(relation: str) -> bool:
-        return "t" in touching or bool(set(RELATIONS[relation].streams) & set(touching))
-
+    t = windows.t
+    streams = windows.streams
     known = []
-    if p is not None and v is not None and wanted("velocity"):
-        known.append(Pair("velocity", changes(t, p), means(t, v)))
-    if q is not None and w is not None and wanted("rate"):
-        known.append(Pair("rate", weighted(t, attitude_rate(t, q)), means(t, w)))
-    if f is not None and wanted("push"):
-        read = means(t, f)
-        known.append(Pair("push", np.abs(read) * UP + read * (1 - UP), read))
-    if q is None or (v is None and p is None) or not set(touching) & set("tpvqf"):
-        return known
-    push = None if f is None else np.einsum("nlij,nlj->nli", windows.rotation, f)
-    half = t.shape[1] // 2
-    if v is not None and wanted("force"):
-        turn = np.concatenate([windows.rotation[:, (a + b) // 2] for a, b in halves(t)])
-        seen = None if push is None else means(t, push)
-        known.append(_forces("", turn, changes(t, v), seen))
-    if p is not None and wanted("force (p)"):
-        first, second = ((t[:, b] - t[:, a])[:, None] for a, b in halves(t))
-        change = (p[:, -1] - p[:, half]) / second - (p[:, half] - p[:, 0]) / first
-        since = t - t[:, half : half + 1]
-        triangle = np.maximum(0.0, 1 - np.abs(since) / np.where(since < 0, first, second))[..., None]
+
+    def has(needed: str, relation: str) -> bool:
+        wanted = "t" in touching or set(RELATIONS[relation].streams) & set(touching)
+        return bool(wanted) and set(needed) <= streams.keys()
+
+    if has("pv", "velocity"):
+        known.append(Pair("velocity", changes(t, streams["p"]), means(t, streams["v"])))
+    if has("qw", "rate"):
+        turning = weighted(t, attitude_rate(t, streams["q"]))
+        known.append(Pair("rate", turning, means(t, streams["w"])))
+    if has("f", "push"):
+        read = means(t, streams["f"])
+        known.append(Pair("push", np.where(UP, np.abs(read), read), read))
+    if has("vq", "force"):
+        push = means(t, windows.push) if "f" in streams else None
+        known.append(_forces("", middles(windows.rotation), changes(t, streams["v"]), push))
+    if has("pq", "force (p)"):
+        middle = t.shape[1] // 2
+        first = (t[:, middle] - t[:, 0])[:, None]
+        second = (t[:, -1] - t[:, middle])[:, None]
+        before, after = np.split(changes(t, streams["p"]), 2)
         length = (first + second) / 2
-        seen = None if push is None else np.trapezoid(push * triangle, t[..., None], axis=1) / length
-        known.append(_forces(" (p)", windows.rotation[:, half], change / length, seen))
+        push = None
+        if "f" in streams:
+            since = t - t[:, middle, None]
+            half = np.where(since < 0, first, second)
+            triangle = np.maximum(0.0, 1 - np.abs(since) / half)
+            weighed = windows.push * triangle[..., None]
+            push = np.trapezoid(weighed, t[..., None], axis=1) / length
+        known.append(_forces(" (p)", windows.rotation[:, middle], (after - before) / length, push))
     return known
 
 
@@ -169,10 +182,25 @@ def _forces(of: str, turn: np.ndarray, acceleration: np.ndarray, push: np.ndarra
     return Pair(f"force{of}", expected, np.einsum("nij,ni->nj", turn, push))
 
 
-def halves(t: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First and last sample of both halves of windows t (n, 2m + 1)."""
-    half = t.shape[1] // 2
-    return (0, half), (half, 2 * half)
+def both(x: np.ndarray) -> np.ndarray:
+    """The first halves of windows x (n, 2m + 1, ...), then the second ones, (2n, m + 1, ...)."""
+    middle = x.shape[1] // 2
+    first = x[:, : middle + 1]
+    return np.concatenate([first, x[:, middle:]])
+
+
+def middles(x: np.ndarray) -> np.ndarray:
+    """The samples of x (n, 2m + 1, ...) in the middle of both halves, (2n, ...)."""
+    x = both(x)
+    return x[:, (x.shape[1] - 1) // 2]
+
+
+def changes(t: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Rates of change of x (n, l, m) over both halves of the windows, (2n, m)."""
+    t = both(t)
+    x = both(x)
+    duration = t[:, -1] - t[:, 0]
+    return (x[:, -1] - x[:, 0]) / duration[:, None]
 
 
 def means(t: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -180,16 +208,11 @@ def means(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     return weighted(t, (x[:, 1:] + x[:, :-1]) / 2)
 
 
-def changes(t: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Rates of change of x (n, l, m) over both halves of the windows, (2n, m)."""
-    return np.concatenate([(x[:, b] - x[:, a]) / (t[:, b] - t[:, a])[:, None] for a, b in halves(t)])
-
-
 def weighted(t: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Means over both halves of what is given between the samples, (n, l - 1, m)."""
-    weight = np.diff(t, axis=1)[..., None]
-    parts = [slice(a, b) for a, b in halves(t)]
-    return np.concatenate([np.sum(x[:, s] * weight[:, s], axis=1) / np.sum(weight[:, s], axis=1) for s in parts])
+    steps = np.diff(both(t), axis=1)[..., None]
+    x = np.concatenate(np.split(x, 2, axis=1))
+    return np.sum(x * steps, axis=1) / np.sum(steps, axis=1)
 
 
 def rotations(q: np.ndarray) -> Rotation:
@@ -197,11 +220,15 @@ def rotations(q: np.ndarray) -> Rotation:
     from scipy.spatial.transform import Rotation
 
     q = q.reshape(-1, 4)
-    return Rotation.from_quat(np.where(q.any(axis=1, keepdims=True), q, [1.0, 0.0, 0.0, 0.0]), scalar_first=True)
+    is_zero = ~q.any(axis=1, keepdims=True)
+    q = np.where(is_zero, [1.0, 0.0, 0.0, 0.0], q)
+    return Rotation.from_quat(q, scalar_first=True)
 
 
 def attitude_rate(t: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Body rate between neighbouring samples of an attitude, (..., l - 1, 3) (rad/s), of t (..., l), q (..., l, 4)."""
-    turn = (rotations(q[..., :-1, :]).inv() * rotations(q[..., 1:, :])).as_rotvec()
+    before = rotations(q[..., :-1, :])
+    after = rotations(q[..., 1:, :])
+    turn = (before.inv() * after).as_rotvec()
     step = np.diff(t, axis=-1)[..., None]
     return turn.reshape(*step.shape[:-1], 3) / step

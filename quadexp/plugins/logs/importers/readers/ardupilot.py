@@ -12,7 +12,9 @@ from __future__ import annotations
 
 import contextlib
 import io
+from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,11 +26,16 @@ from quadexp.plugins.logs.importers.readers.ulog import QUAD_X, turned
 
 ABOUT = "ArduPilot; needs [ardupilot]"
 FIRST_MOTOR = 33  # SERVOn_FUNCTION of motor 1
+ESTIMATORS = ("XKF1", "NKF1")  # the first that is there
 FIELDS = {
-    "position": (("XKF1", "NKF1"), ("PN", "PE", "PD")), "velocity": (("XKF1", "NKF1"), ("VN", "VE", "VD")),
-    "attitude": (("ATT",), ("Roll", "Pitch", "Yaw")), "rate": (("IMU",), ("GyrX", "GyrY", "GyrZ")),
-    "acceleration": (("IMU",), ("AccX", "AccY", "AccZ")), "battery_voltage": (("BAT",), ("Volt",)),
-}  # fmt: skip
+    "position": (ESTIMATORS, ("PN", "PE", "PD")),
+    "velocity": (ESTIMATORS, ("VN", "VE", "VD")),
+    "attitude": (("ATT",), ("Roll", "Pitch", "Yaw")),
+    "rate": (("IMU",), ("GyrX", "GyrY", "GyrZ")),
+    "acceleration": (("IMU",), ("AccX", "AccY", "AccZ")),
+    "battery_voltage": (("BAT",), ("Volt",)),
+}
+KINDS = sorted({*ESTIMATORS, "ATT", "BAT", "IMU", "PARM", "RCOU"})
 
 
 def recognises(path: Path, head: bytes | None) -> bool:
@@ -41,37 +48,39 @@ def read(path: Path, named: str) -> RawLog:
         from pymavlink import DFReader
     except ImportError:
         raise missing_package(path, "pymavlink", "ardupilot") from None
-    kinds = {kind for messages, _ in FIELDS.values() for kind in messages} | {"RCOU", "PARM"}
-    rows: dict[str, list[dict[str, float]]] = {}
-    parameters: dict[str, float] = {}
+    rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
     try:
         with contextlib.redirect_stderr(io.StringIO()):  # a line for each byte that is no message
             file = DFReader.DFReader_binary(str(path), zero_time_base=True)
-            while (message := file.recv_match(type=list(kinds))) is not None:
+            while (message := file.recv_match(type=KINDS)) is not None:
                 row = message.to_dict()
-                if row["mavpackettype"] == "PARM":
-                    parameters[str(row["Name"])] = float(row["Value"])
-                elif row.get("C", 0) == 0 and row.get("I", row.get("Instance", 0)) == 0:
-                    rows.setdefault(row["mavpackettype"], []).append(row)
+                if row.get("C", 0) == 0 and row.get("I", row.get("Instance", 0)) == 0:
+                    rows[row["mavpackettype"]].append(row)
     except Exception as error:  # damage raises what it likes
         raise DataError(f"{path}: damaged ({type(error).__name__}: {first_line(error)})") from None
+    parameters = {str(row["Name"]): float(row["Value"]) for row in rows["PARM"]}
+    motors = []
+    outputs = {parameters.get(f"SERVO{i}_FUNCTION"): f"C{i}" for i in range(1, 15)}
+    for motor in range(FIRST_MOTOR, FIRST_MOTOR + 8):
+        if motor in outputs:
+            motors.append(outputs[motor])
     log = RawLog("ardupilot", {}, "ardupilot")
-    functions = {int(parameters.get(f"SERVO{i}_FUNCTION", 0)): f"C{i}" for i in range(1, 15)}
-    motors = tuple(functions[n] for n in range(FIRST_MOTOR, FIRST_MOTOR + 8) if n in functions)
     for name, (messages, fields) in {**FIELDS, "motor_command": (("RCOU",), motors)}.items():
-        table = next((rows[kind] for kind in messages if kind in rows), [])
-        table = [row for row in table if fields and all(field in row for field in fields)]
-        if len(table) > 1:
-            t = 1e-6 * np.array([row["TimeUS"] for row in table])
-            values = np.array([[row[field] for field in fields] for row in table], float)
-            if name == "attitude":
-                values = Rotation.from_euler("ZYX", values[:, ::-1], degrees=True).as_quat(scalar_first=True)
-            log.streams[name] = turned(name, sorted_stream(path, name, t, values, log.notes))
+        table = []
+        for row in next((rows[kind] for kind in messages if rows[kind]), []):
+            if all(field in row for field in fields):
+                table.append([row["TimeUS"], *(row[field] for field in fields)])
+        if len(table) < 2 or not fields:
+            continue
+        t, values = np.split(np.array(table, float), [1], axis=1)
+        if name == "attitude":
+            values = Rotation.from_euler("ZYX", values[:, ::-1], degrees=True).as_quat(scalar_first=True)
+        if name == "motor_command":
+            low = parameters.get("MOT_PWM_MIN", 1000.0) or 1000.0
+            high = parameters.get("MOT_PWM_MAX", 2000.0) or 2000.0
+            values = (values - low) / (high - low)
+            log.layout = QUAD_X if len(motors) == 4 else None  # motors 1 to 4 of frame X
+        log.streams[name] = turned(name, sorted_stream(path, name, 1e-6 * t[:, 0], values, log.notes))
     if not log.streams:
-        raise DataError(f"{path}: none of the messages {', '.join(sorted(kinds))}")
-    if "motor_command" in log.streams:
-        t, pulses = log.streams["motor_command"]
-        low, high = parameters.get("MOT_PWM_MIN", 1000.0) or 1000.0, parameters.get("MOT_PWM_MAX", 2000.0) or 2000.0
-        log.streams["motor_command"] = log.streams["motor_command"]._replace(values=(pulses - low) / (high - low))
-        log.layout = QUAD_X if len(motors) == 4 else None  # motors 1 to 4 of frame X
+        raise DataError(f"{path}: none of the messages {', '.join(KINDS)}")
     return log

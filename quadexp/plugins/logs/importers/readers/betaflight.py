@@ -15,7 +15,6 @@ Motors of frame X: back right, front right, back left, front left.
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ import numpy as np
 from quadexp.errors import DataError
 from quadexp.log.store import first_line
 from quadexp.physics.rotation import continuous
+from quadexp.plugins.logs.importers.quantities import ROTORS
 from quadexp.plugins.logs.importers.raw import RawLog, sorted_stream
 from quadexp.plugins.logs.units import STANDARD_GRAVITY, UNITS
 
@@ -31,6 +31,7 @@ ABOUT = "Betaflight; needs [betaflight]"
 HEAD = b"H Product:Blackbox"
 QUAD_X = ("back_right", "front_right", "back_left", "front_left")
 QUATERNION_SCALE = 2**15 - 1  # 16 bits with sign
+MOST_COLUMNS = 8  # of a field: motors
 USUAL_POLES = 14  # Betaflight's own default
 USUAL_OUTPUT = (1000.0, 2000.0)  # DShot and PWM, the least and the largest (us)
 
@@ -97,47 +98,37 @@ def _number(row: tuple[Any, ...], place: int) -> float:
 
 def quantities(header: dict[str, Any], fields: Numbers) -> Numbers:
     """Quantity of an import -> values (k, m) in SI and FLU."""
+    low, high = _output(header)
+    pole_pairs = float(header.get("motor_poles", USUAL_POLES)) / 2
     result: Numbers = {}
-    gyro = _columns(fields, "gyroADC", 3)
-    if gyro is not None:
-        result["rate"] = gyro * _scale(header.get("gyro_scale", 1.0)) * UNITS["rate"]["deg/s"]
-    acceleration = _columns(fields, "accSmooth", 3)
-    if acceleration is not None:
-        result["acceleration"] = acceleration / float(header.get("acc_1G", 2048)) * STANDARD_GRAVITY
-    quaternion = _columns(fields, "imuQuaternion", 3)
-    if quaternion is not None:
-        vector = quaternion / QUATERNION_SCALE
-        scalar = np.sqrt(np.maximum(1.0 - np.sum(vector**2, axis=1), 0.0))
+    for quantity, field, zero, scale in (
+        ("rate", "gyroADC", 0.0, _scale(header.get("gyro_scale", 1.0)) * UNITS["rate"]["deg/s"]),
+        ("acceleration", "accSmooth", 0.0, STANDARD_GRAVITY / float(header.get("acc_1G", 2048))),
+        ("attitude", "imuQuaternion", 0.0, 1 / QUATERNION_SCALE),
+        ("motor_command", "motor", low, 1 / (high - low) if high != low else np.nan),
+        ("rotor_speed", "eRPM", 0.0, 100.0 / pole_pairs * UNITS["rotor_speed"]["rpm"]),
+    ):
+        columns = [fields[f"{field}[{i}]"] for i in range(MOST_COLUMNS) if f"{field}[{i}]" in fields]
+        if len(columns) == 3 or (columns and quantity in ROTORS):
+            result[quantity] = (np.column_stack(columns) - zero) * scale
+    if "attitude" in result:
+        vector = result["attitude"]
+        square = 1.0 - np.sum(vector**2, axis=1)
+        scalar = np.sqrt(np.maximum(square, 0.0))
         result["attitude"] = continuous(np.column_stack([scalar, vector]))
-    motors = _columns(fields, "motor", None)
-    if motors is not None:
-        low, high = _output(header)
-        result["motor_command"] = (motors - low) / (high - low)
-    turns = _columns(fields, "eRPM", None)
-    if turns is not None and np.nanmax(turns, initial=0.0) > 0:
-        pairs = float(header.get("motor_poles", USUAL_POLES)) / 2
-        result["rotor_speed"] = 100.0 * turns / pairs * UNITS["rotor_speed"]["rpm"]
+    if not np.nanmax(result.get("rotor_speed", 0.0), initial=0.0) > 0:  # no telemetry
+        result.pop("rotor_speed", None)
     if "vbatLatest" in fields:
         result["battery_voltage"] = fields["vbatLatest"][:, None] * UNITS["voltage"]["cV"]
     return result
 
 
-def _columns(fields: Numbers, name: str, count: int | None) -> np.ndarray | None:
-    """Columns name[0], name[1], .., (k, count); None where there are not so many. count: None: as many as there are."""
-    there: list[Any] = []
-    while f"{name}[{len(there)}]" in fields:
-        there.append(fields[f"{name}[{len(there)}]"])
-    if not there or (count is not None and len(there) != count):
-        return None
-    return np.column_stack(there)
-
-
 def _scale(value: Any) -> float:
-    """A number, or the bits of a 32-bit float in hexadecimal digits, as Betaflight writes it."""
-    if isinstance(value, str) and value.lower().startswith("0x"):
-        return float(struct.unpack(">f", int(value, 16).to_bytes(4, "big"))[0])
-    if isinstance(value, int) and value > 10_000:  # the bits, read as a whole number
-        return float(struct.unpack(">f", value.to_bytes(4, "big"))[0])
+    """A number, or the bits of a 32-bit float: in hexadecimal digits, as Betaflight writes it, or as a whole number."""
+    hexadecimal = isinstance(value, str) and value.lower().startswith("0x")
+    bits = int(value, 16) if hexadecimal else value
+    if hexadecimal or (isinstance(bits, int) and bits > 10_000):
+        return float(np.uint32(bits).view(np.float32))
     return float(value)
 
 

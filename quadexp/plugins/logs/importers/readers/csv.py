@@ -11,7 +11,8 @@ import numpy as np
 from quadexp.errors import DataError
 from quadexp.log.schema import describe
 from quadexp.parts.schema import conf_folder
-from quadexp.plugins.logs.importers.mapping import QUANTITIES, ROTORS, Mapping, columns_of, load_mapping
+from quadexp.plugins.logs.importers.mapping import Mapping, load_mapping
+from quadexp.plugins.logs.importers.quantities import QUANTITIES, ROTORS, columns_of
 from quadexp.plugins.logs.importers.raw import RawLog, clean_stream, read_mapped
 from quadexp.plugins.logs.importers.table import Table, kind_of, open_table
 
@@ -30,7 +31,8 @@ def read(path: Path, named: str) -> RawLog:
         if named == mapping.name and missing:
             has = ", ".join(table.columns[:8])
             raise DataError(f"{path}: not of {named}: no column {missing[0]!r} (it has {has}, ...)")
-        if named in ("auto", "csv", mapping.name) and not missing and mapping.format == table.format:
+        asked = named in ("auto", "csv", mapping.name)
+        if asked and not missing and mapping.format == table.format:
             log = read_mapped(table, mapping)
             log.format = mapping.name
             return log
@@ -46,8 +48,10 @@ def _under_own_names(table: Table) -> RawLog:
     columns = table.read(table.columns, log.notes)
     for quantity, (names, *_) in QUANTITIES.items():
         if quantity in ROTORS:
-            names = columns_of(quantity, sum(c.startswith(names[0].format("")) for c in columns))
-        if names and set(names) <= set(columns):
+            prefix = names[0].format("")
+            count = sum(name.startswith(prefix) for name in columns)
+            names = columns_of(quantity, count)
+        if names and set(names) <= columns.keys():
             values = np.column_stack([columns[name] for name in names])
             log.streams[quantity] = clean_stream(table.path, quantity, columns["t"], values, log.notes)
     return log

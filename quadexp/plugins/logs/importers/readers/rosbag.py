@@ -27,9 +27,9 @@ import numpy as np
 from quadexp.errors import DataError, QuadexpError, missing_package
 from quadexp.log.integrity import allowed_bytes
 from quadexp.log.store import first_line
-from quadexp.plugins.logs.importers.raw import RawLog, sorted_stream, with_attitude
+from quadexp.names import distinct
+from quadexp.plugins.logs.importers.raw import RawLog, sorted_stream, velocity_to_world
 from quadexp.plugins.logs.importers.readers.ulog import TOPICS, read_topics
-from quadexp.plugins.logs.signal import Stream
 from quadexp.plugins.logs.units import UNITS
 
 MOST_MESSAGES = 20_000_000  # 5 h at 1 kHz
@@ -71,7 +71,9 @@ def read(path: Path, named: str) -> RawLog:
     others: list[str] = []
     notes: list[str] = []
     try:
-        source = path.parent if path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file() else path
+        source = path
+        if path.suffix in (".db3", ".mcap") and (path.parent / "metadata.yaml").is_file():
+            source = path.parent
         with _opened(AnyReader, source, get_typestore(Stores.ROS2_HUMBLE)) as (reader, others):
             wanted = reader.connections
             if not wanted:
@@ -227,12 +229,14 @@ def _values(message: Any, place: str) -> list[float]:
     item = message
     for name in place.split("."):
         item = [getattr(part, name, 0.0) for part in item] if isinstance(item, list) else getattr(item, name, None)
-    if item is not None and hasattr(item, "x"):
+    if hasattr(item, "x"):
         return [float(getattr(item, axis)) for axis in ("wxyz" if hasattr(item, "w") else "xyz")]
-    values = np.atleast_1d(np.asarray([] if item is None else item)).ravel()
+    values = np.ravel([] if item is None else item)
     if values.dtype.kind not in "fiu":
         return []
-    return [RPM * abs(float(v)) for v in values] if "rpm" in place else [float(v) for v in values]
+    if "rpm" in place:
+        values = RPM * np.abs(values)
+    return values.astype(float).tolist()
 
 
 def _in_body(topic: str, message: Any) -> bool:
@@ -249,24 +253,22 @@ def _in_body(topic: str, message: Any) -> bool:
 def _choose(path: Path, log: RawLog, recognised: _Found) -> None:
     """Of every quantity the topic to take, then everything into ENU and FLU."""
     chosen: dict[str, _Rows] = {}
-    pose = None
-    for quantity in ("position", "attitude", "velocity", "rate", "acceleration", *sorted(recognised)):
+    for quantity in distinct(("position", "attitude", "velocity", "rate", "acceleration", *sorted(recognised))):
         topics = [rows for rows in recognised.get(quantity, {}).values() if len(rows.t) >= LEAST_MESSAGES]
-        if quantity in chosen or not topics:
+        if not topics:
             continue
-        chosen[quantity] = max(topics, key=lambda rows: _rank(rows, quantity, pose))
         pose = chosen["position"].topic if "position" in chosen else None
-        others = [rows.topic for rows in topics if rows is not chosen[quantity]]
+        best = max(topics, key=lambda rows: _rank(rows, quantity, pose))
+        others = [rows.topic for rows in topics if rows is not best]
         if others:
-            log.notes.append(f"{quantity}: {chosen[quantity].topic} taken, not {', '.join(others[:4])}")
+            log.notes.append(f"{quantity}: {best.topic} taken, not {', '.join(others[:4])}")
+        chosen[quantity] = best
+        name = f"{quantity} ({best.topic})"
+        log.streams[quantity] = sorted_stream(path, name, np.array(best.t), np.array(best.values), log.notes)
     if not chosen:
         raise DataError(f"{path}: no topic has {LEAST_MESSAGES} messages of use")
-    for quantity, rows in chosen.items():
-        t, values = np.array(rows.t), np.array(rows.values)
-        log.streams[quantity] = sorted_stream(path, f"{quantity} ({rows.topic})", t, values, log.notes)
     if "velocity" in chosen and chosen["velocity"].in_body and "attitude" in log.streams:
-        stream, R = with_attitude(log.streams, "velocity")
-        log.streams["velocity"] = Stream(stream.t, R.apply(stream.values))
+        velocity_to_world(log.streams)
     log.about["topics"] = {quantity: rows.topic for quantity, rows in chosen.items()}
 
 

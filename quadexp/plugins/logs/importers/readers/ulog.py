@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ import numpy as np
 from quadexp.errors import DataError, QuadexpError, missing_package
 from quadexp.log.store import first_line
 from quadexp.physics.state import finite_rows
-from quadexp.plugins.logs.importers.raw import RawLog, sorted_stream, turn_attitude, with_attitude
+from quadexp.plugins.logs.importers.quantities import place_of
+from quadexp.plugins.logs.importers.raw import RawLog, sorted_stream, turn_attitude, velocity_to_world
 from quadexp.plugins.logs.signal import Stream
 from quadexp.plugins.logs.units import UNITS, axes_matrix
 
@@ -30,12 +32,22 @@ _SIZES = {"int8_t": 1, "uint8_t": 1, "bool": 1, "char": 1, "int16_t": 2, "uint16
 Topic = Mapping[str, np.ndarray]  # field -> (k,); arrays are "q[0]", ...
 Topics = Mapping[str, Sequence[Topic]]  # name -> instances
 
-NED, FRD = axes_matrix("world", "NED", ""), axes_matrix("body", "FRD", "")
+NED = axes_matrix("world", "NED", "")
+FRD = axes_matrix("body", "FRD", "")
 RPM = UNITS["rotor_speed"]["rpm"]
 MOST_ROTORS = 12  # of PX4's actuator messages
 QUAD_X = ("front_right", "back_left", "front_left", "back_right")
+
+
+def _fields(source: str) -> tuple[str, list[str]]:
+    """The topic of a line of SOURCES, and its fields as pyulog names them."""
+    topic, *names = source.split()
+    name, array, count = names[0].rstrip("]").partition("[")
+    return topic, [f"{name}[{i}]" for i in range(int(count))] if array else names
+
+
 # Where a quantity stands, best first: the topic, then its fields. "[3]" is an array of three.
-SOURCES: dict[str, tuple[str, ...]] = {
+_SOURCES = {
     "position": ("vehicle_local_position x y z", "vehicle_odometry position[3]", "vehicle_odometry x y z",
                  "vehicle_local_position_groundtruth x y z"),
     "velocity": ("vehicle_local_position vx vy vz", "vehicle_odometry velocity[3]", "vehicle_odometry vx vy vz",
@@ -50,14 +62,14 @@ SOURCES: dict[str, tuple[str, ...]] = {
     "reference_position": ("vehicle_local_position_setpoint x y z",),
     "reference_velocity": ("vehicle_local_position_setpoint vx vy vz",),
 }  # fmt: skip
+SOURCES = {name: [_fields(source) for source in sources] for name, sources in _SOURCES.items()}
 # Signals of the rotors, best first: quantity, topic, field by number. Outputs are pulse widths (us), DShot or 0 to 1.
 ROTOR_TOPICS = (
     ("motor_command", "actuator_motors", "control[{}]"),
     ("motor_command", "actuator_outputs", "output[{}]"),
     ("rotor_speed", "esc_status", "esc[{}].esc_rpm"),
 )
-TOPICS = sorted({source.split()[0] for sources in SOURCES.values() for source in sources}
-                | {topic for _, topic, _ in ROTOR_TOPICS})  # fmt: skip
+TOPICS = sorted({topic for topic, _ in chain(*SOURCES.values())} | {topic for _, topic, _ in ROTOR_TOPICS})
 # What the estimator itself says of its horizontal and its vertical part.
 VALID = {"position": ("xy_valid", "z_valid"), "velocity": ("v_xy_valid", "v_z_valid")}
 RESETS = {
@@ -67,17 +79,14 @@ RESETS = {
 }
 ROTORS_OF_TYPE = {2: 4, 13: 6, 14: 8, 15: 3}  # MAV_TYPE
 # Vehicles whose rotors do not alone carry them, by MAV_TYPE.
-OTHER_VEHICLES = {
-    1: "a fixed wing",
-    10: "a rover",
-    11: "a boat",
-    12: "a submarine",
-    **dict.fromkeys(range(19, 26), "a VTOL"),
-}
+OTHER_VEHICLES = {1: "a fixed wing", 10: "a rover", 11: "a boat", 12: "a submarine"}
+OTHER_VEHICLES |= dict.fromkeys(range(19, 26), "a VTOL")
+MOTION = {"position", "attitude", "velocity", "rate", "acceleration"}
 ODOMETRY = "vehicle_odometry"
-# What an odometry says of its axes: north, east, down; of any heading ("local"); of the body, of its velocity. Before
-# PX4 1.14 with other numbers, and `local_frame` for `pose_frame`.
-FRAMES, FORMER_FRAMES = {1: "NED", 2: "local", 3: "body"}, {0: "NED", 1: "local", 3: "body"}
+# What an odometry says of its axes: north, east, down; of any heading ("local"); of the body, of its velocity.
+FRAMES = {1: "NED", 2: "local", 3: "body"}
+FORMER_FRAMES = {0: "NED", 1: "local", 3: "body"}  # before PX4 1.14, with `local_frame` for `pose_frame`
+WORLDS = ("NED", "local")
 OF_WORLD = ("position", "velocity", "attitude", "wind", "reference_position", "reference_velocity")
 
 
@@ -151,14 +160,14 @@ def _check_formats(formats: dict[str, Any]) -> None:
         for kind, count, _ in formats[name]:
             if count < 0:
                 raise DataError(f"its format {name!r} declares an array of {count}")
-            inner = _SIZES.get(kind) or (size(kind, (*above, name)) if kind in formats else MESSAGE)
+            inner = size(kind, (*above, name)) if kind in formats else _SIZES.get(kind, MESSAGE)
             total += inner * max(count, 1)
-            if total > MESSAGE:
-                raise DataError(f"its format {name!r} declares more than the {MESSAGE} bytes of a message")
+        if total > MESSAGE:
+            raise DataError(f"its format {name!r} declares more than the {MESSAGE} bytes of a message")
         return total
 
-    for name in formats:
-        if name in TOPICS:
+    for name in TOPICS:
+        if name in formats:
             size(name, ())
 
 
@@ -168,17 +177,17 @@ def read_topics(path: Path, topics: Topics, parameters: Mapping[str, float]) -> 
     motion."""
     log = RawLog("ulog", {}, "px4")
     used: dict[str, str] = {}
+    log.about["topics"] = used
     refused: set[str] = set()
-    axes: str | None = None  # of the world, "NED" or "local"
-    body_velocity = False
+    frames: dict[str, str | None] = {}  # of which axes the quantities are
+    axes = ""  # of the world, "NED" or "local", by the first quantity that says it
     for name, sources in SOURCES.items():
-        for source in sources:
-            topic, fields = _fields(source)
+        for topic, fields in sources:
             instance = _instance(topics, topic, fields)
-            if instance is None or (name in refused and not topic.endswith("groundtruth")):
+            if instance is None or name in used or (name in refused and not topic.endswith("groundtruth")):
                 continue
             frame = _frame(name, topic, instance, fields)
-            if frame not in ("", "body", axes or frame or "NED"):
+            if frame is None or (frame in WORLDS and axes not in ("", frame)):
                 known = f"of other axes ({frame}) than what goes before" if frame else "it does not say of which axes"
                 log.notes.append(f"{name} ({topic}): {known}: left out")
                 continue
@@ -187,59 +196,56 @@ def read_topics(path: Path, topics: Topics, parameters: Mapping[str, float]) -> 
                 refused.add(name)
                 continue
             stream = _stream(path, f"{name} ({topic})", instance, fields, log.notes)
-            if stream is not None:
-                log.streams[name], used[name] = turned(name, stream), topic
-                body_velocity |= frame == "body"
-                if frame in ("NED", "local"):
-                    axes = frame
-                break
+            if stream is None:
+                continue
+            log.streams[name] = turned(name, stream)
+            used[name] = topic
+            frames[name] = frame
+            axes = frame if frame in WORLDS else axes
     _motors(path, log, topics, parameters, used)
-    if not {"position", "attitude", "velocity", "rate", "acceleration"} & set(log.streams):
+    if not MOTION & used.keys():
         there = ", ".join(sorted(topics)[:10]) or "none"
         wanted = "vehicle_attitude, vehicle_local_position nor sensor_combined"
         raise DataError(f"{path}: neither {wanted}; topics: {there}")
-    absent = {"position", "attitude", "rate", "acceleration"} - used.keys() - refused
-    if missing := [f"{name} ({sources[0].split()[0]})" for name, sources in SOURCES.items() if name in absent]:
+    absent = MOTION - {"velocity"} - used.keys() - refused
+    if absent:
+        missing = [f"{name} ({SOURCES[name][0][0]})" for name in SOURCES if name in absent]
         log.notes.append(f"topics missing: {', '.join(missing)}")
     kind = OTHER_VEHICLES.get(int(parameters.get("MAV_TYPE", 0)))
     if kind is not None:
-        log.notes.append(
-            f"warning: the log is of {kind} (MAV_TYPE): models here are of multirotors, their drag and thrust"
-        )
+        what = "models here are of multirotors, their drag and thrust"
+        log.notes.append(f"warning: the log is of {kind} (MAV_TYPE): {what}")
     if axes == "local":
         log.notes.append("the world's axes are those of vehicle_odometry: x and y may have any heading")
-    if body_velocity and "attitude" in used:
-        # in FRD, and turned as if it were NED: turned back, into FLU, and by the attitude into the world
-        stream, R = with_attitude(log.streams, "velocity")
-        log.streams["velocity"] = Stream(stream.t, R.apply(stream.values @ NED @ FRD.T))
-    elif body_velocity:
+    if frames.get("velocity") != "body":
+        return log
+    if "attitude" in used:  # in FRD, and turned as if it were NED: turned back, into FLU, and into the world
+        t, values = log.streams["velocity"]
+        log.streams["velocity"] = Stream(t, values @ NED @ FRD.T)
+        velocity_to_world(log.streams)
+    else:
         log.notes.append("velocity (vehicle_odometry): in the body, whose attitude is not known: left out")
         del log.streams["velocity"], used["velocity"]
-    log.about["topics"] = used
     return log
 
 
 def _frame(name: str, topic: str, instance: Topic, fields: Sequence[str]) -> str | None:
     """Of which axes a quantity is: "NED", "local", "body"; None where it does not say, "" where it is of no axes."""
-    if name not in OF_WORLD or topic != ODOMETRY:
-        return "NED" if name in OF_WORLD else ""
-    former = "local_frame" in instance
-    stated = "velocity_frame" if name == "velocity" else "local_frame" if former else "pose_frame"
-    if stated not in instance:
+    if name not in OF_WORLD:
+        return ""
+    numbers, stated = (FORMER_FRAMES, "local_frame") if "local_frame" in instance else (FRAMES, "pose_frame")
+    if name == "velocity":
+        stated = "velocity_frame"
+    if topic != ODOMETRY or stated not in instance:
         return "NED"
-    known = np.isfinite(np.stack([np.asarray(instance[field], float) for field in fields])).all(axis=0)
-    frames = {(FORMER_FRAMES if former else FRAMES).get(int(number)) for number in np.asarray(instance[stated])[known]}
+    known = finite_rows(_columns(instance, fields))
+    frames = {numbers.get(int(number)) for number in np.asarray(instance[stated])[known]}
     frame = frames.pop() if len(frames) == 1 else None
-    return None if frame == "body" and name != "velocity" else frame
+    return frame if frame in WORLDS or name == "velocity" else None
 
 
-def _fields(source: str) -> tuple[str, list[str]]:
-    """The topic of a line of SOURCES, and its fields as pyulog names them."""
-    topic, *names = source.split()
-    if names[0].endswith("]"):
-        name, _, count = names[0].rstrip("]").partition("[")
-        return topic, [f"{name}[{i}]" for i in range(int(count))]
-    return topic, names
+def _columns(topic: Topic, fields: Sequence[str]) -> np.ndarray:
+    return np.column_stack([np.asarray(topic[field], float) for field in fields])
 
 
 def _instance(topics: Topics, name: str, fields: Sequence[str]) -> Topic | None:
@@ -254,39 +260,46 @@ def _instance(topics: Topics, name: str, fields: Sequence[str]) -> Topic | None:
 def _valid(name: str, source: str, topic: Topic, log: RawLog) -> Topic | None:
     """The rows that the estimator holds to be valid, horizontally and vertically; None where there are none. Its resets
     are added to the log."""
-    notes = log.notes
-    flags = {flag: np.asarray(topic[flag]) > 0 for flag in VALID.get(name, ()) if flag in topic}
-    good = np.logical_and.reduce(list(flags.values())) if flags else np.ones(1, bool)
-    if not good.any():
-        where = " and ".join(flag for flag, holds in flags.items() if not holds.any())
-        notes.append(f"{name} ({source}): the estimator never had a valid one ({where or 'flags'}): left out")
-        return None
-    if not good.all():
-        notes.append(f"{name} ({source}): not valid in {int((~good).sum())} of {len(good)} rows: left out")
-        topic = {field: np.asarray(values)[good] for field, values in topic.items()}
-    counters = [np.asarray(topic[field]) for field in RESETS.get(name, ()) if field in topic]
+    where = f"{name} ({source})"
+    flags = [flag for flag in VALID.get(name, ()) if flag in topic]
+    if flags:
+        valid = _columns(topic, flags) > 0
+        good = valid.all(axis=1)
+        if not good.any():
+            never = [flag for flag, holds in zip(flags, valid.T, strict=True) if not holds.any()]
+            said = " and ".join(never) or "flags"
+            log.notes.append(f"{where}: the estimator never had a valid one ({said}): left out")
+            return None
+        if not good.all():
+            log.notes.append(f"{where}: not valid in {int((~good).sum())} of {len(valid)} rows: left out")
+            topic = {field: np.asarray(values)[good] for field, values in topic.items()}
     t = _times(topic)
-    resets = [(t[k], t[k + 1]) for counter in counters for k in np.flatnonzero(np.diff(counter))]
+    resets = []
+    for counter in RESETS.get(name, ()):
+        for row in np.flatnonzero(np.diff(topic.get(counter, ()))):
+            resets.append((t[row], t[row + 1]))
     if resets:
-        notes.append(f"{name} ({source}): reset by the estimator {len(resets)} times: a new segment begins there")
+        log.notes.append(f"{where}: reset by the estimator {len(resets)} times: a new segment begins there")
     log.resets += resets
     return topic
 
 
 def _times(topic: Topic) -> np.ndarray:
     """Of the samples, (k,) (s)."""
-    sampled = topic.get("timestamp_sample")
-    stamp = sampled if sampled is not None and (np.asarray(sampled) > 0).all() else topic["timestamp"]
-    return np.asarray(stamp).astype(np.int64) * 1e-6
+    stamp = np.asarray(topic.get("timestamp_sample", 0))
+    if not (stamp > 0).all():
+        stamp = np.asarray(topic["timestamp"])
+    return stamp.astype(np.int64) * 1e-6
 
 
 def _stream(path: Path, name: str, topic: Topic, fields: Sequence[str], notes: list[str]) -> Stream | None:
     """The fields of a topic as one stream at the times of the samples (s); None where they hold no number."""
-    t, values = _times(topic), np.stack([np.asarray(topic[f], float) for f in fields], 1)
+    t = _times(topic)
+    values = _columns(topic, fields)
     if not finite_rows(values).any():
         return None
-    order = np.argsort(t, kind="stable")  # the sample's times of one topic may lie a little out of order
-    if (np.diff(order) < 0).sum() > 0.01 * len(order):
+    back = int((np.diff(np.argsort(t, kind="stable")) < 0).sum())  # times of samples may lie a little out of order
+    if back > 0.01 * len(t):
         raise DataError(f"{path}: {name}: its times jump back ({int((np.diff(t) < 0).sum())} times in {len(t)} rows)")
     return sorted_stream(path, name, t, values, notes)
 
@@ -310,30 +323,33 @@ def _motors(path: Path, log: RawLog, topics: Topics, parameters: Mapping[str, fl
     if not 3 <= most <= MOST_ROTORS:
         most = ROTORS_OF_TYPE.get(int(parameters.get("MAV_TYPE", 0)), MOST_ROTORS)
     for quantity, topic, field in ROTOR_TOPICS:
-        if quantity in used:
-            continue
         # the leading outputs that move, at most so many, of the instance where most do
-        counted = [(_moving(instance, field, most), instance) for instance in topics.get(topic, [])]
-        count, instance = max(counted, key=lambda pair: pair[0], default=(0, {}))
-        fields = [field.format(i) for i in range(count)]
-        stream = _stream(path, f"{quantity} ({topic})", instance, fields, log.notes) if count >= 3 else None
+        moving = [_moving(instance, field, most) for instance in topics.get(topic, [])]
+        if quantity in used or max(moving, default=0) < 3:
+            continue
+        instance = topics[topic][moving.index(max(moving))]
+        fields = [field.format(i) for i in range(max(moving))]
+        stream = _stream(path, f"{quantity} ({topic})", instance, fields, log.notes)
         if stream is not None:
-            log.streams[quantity], used[quantity] = stream, topic
-    factor = float(parameters.get("THR_MDL_FAC", 0.0))
-    if used.get("motor_command") == "actuator_motors" and 0 < factor <= 1:
-        t, thrust = log.streams["motor_command"]
-        log.streams["motor_command"] = Stream(t, signal_of_thrust(np.clip(thrust, 0.0, 1.0), factor))
-        log.about["thr_mdl_fac"] = factor
-        log.notes.append(
-            f"motor_command (actuator_motors): the signal that THR_MDL_FAC {factor:g} makes of the thrust logged"
-        )
-    if used.get("motor_command") == "actuator_outputs":
-        log.streams["motor_command"] = _pwm(log.streams["motor_command"], parameters, log.notes)
-    if "rotor_speed" in used:
-        t, values = log.streams["rotor_speed"]
-        log.streams["rotor_speed"] = Stream(t, RPM * np.abs(values))
+            used[quantity] = topic
+            log.streams[quantity] = Stream(stream.t, _in_si(topic, stream.values, parameters, log))
     counts = [log.streams[name].values.shape[1] for name in ("motor_command", "rotor_speed") if name in used]
     log.layout = _layout(max(counts, default=0), parameters, log.notes)
+
+
+def _in_si(topic: str, values: np.ndarray, parameters: Mapping[str, float], log: RawLog) -> np.ndarray:
+    """Rotor speeds in rad/s, commands as signals from 0 to 1."""
+    if topic == "esc_status":
+        return RPM * np.abs(values)
+    if topic == "actuator_outputs":
+        return _pwm(values, parameters, log.notes)
+    factor = float(parameters.get("THR_MDL_FAC", 0.0))
+    if not 0 < factor <= 1:
+        return values
+    log.about["thr_mdl_fac"] = factor
+    what = f"the signal that THR_MDL_FAC {factor:g} makes of the thrust logged"
+    log.notes.append(f"motor_command (actuator_motors): {what}")
+    return signal_of_thrust(np.clip(values, 0.0, 1.0), factor)
 
 
 def signal_of_thrust(thrust: np.ndarray, factor: float) -> np.ndarray:
@@ -353,16 +369,12 @@ def _moving(topic: Topic, field: str, most: int) -> int:
 
 def _layout(count: int, parameters: Mapping[str, float], notes: list[str]) -> tuple[str, ...] | None:
     """Where the motors are: by the control allocation's parameters (FRD), or the order of PX4's quad-x."""
-    places = []
+    places = {}
     for i in range(count):
-        x, y = parameters.get(f"CA_ROTOR{i}_PX"), parameters.get(f"CA_ROTOR{i}_PY")
-        if x is None or y is None or not (x or y):
-            break
-        reach = 0.2 * max(abs(x), abs(y))
-        words = ["front" if x > 0 else "back"] if abs(x) > reach else []
-        words += ["right" if y > 0 else "left"] if abs(y) > reach else []
-        places.append("_".join(words))
-    if count and len(set(places)) == len(places) == count:
+        x = parameters.get(f"CA_ROTOR{i}_PX", 0.0)
+        y = parameters.get(f"CA_ROTOR{i}_PY", 0.0)
+        places[place_of(x, -y)] = i
+    if count and "" not in places and len(places) == count:
         return tuple(places)
     if count == 4:
         notes.append("motors in the order of PX4's quad-x: front right, back left, front left, back right")
@@ -370,18 +382,19 @@ def _layout(count: int, parameters: Mapping[str, float], notes: list[str]) -> tu
     return None
 
 
-def _pwm(stream: Stream, parameters: Mapping[str, float], notes: list[str]) -> Stream:
+def _pwm(values: np.ndarray, parameters: Mapping[str, float], notes: list[str]) -> np.ndarray:
     """actuator_outputs from 0 to 1: pulse widths (us) between PWM_MIN and PWM_MAX, DShot, or as they are."""
-    t, values = stream
     largest = float(np.percentile(values, 99.9))
     if largest <= 1.5:
-        return stream
+        return values
     low = parameters.get("PWM_MAIN_MIN", parameters.get("PWM_MIN", 1000.0))
     high = parameters.get("PWM_MAIN_MAX", parameters.get("PWM_MAX", 2000.0))
     flying = values[values > 0.2 * largest]
     if len(flying) and np.median(flying) < 850:
-        low, high = 0.0, 1999.0
+        low = 0.0
+        high = 1999.0
         notes.append("actuator_outputs taken as DShot (0 to 1999)")
     elif low >= high:
-        low, high = 1000.0, 2000.0
-    return Stream(t, np.where(values < low, 0.0, (values - low) / (high - low)))
+        low = 1000.0
+        high = 2000.0
+    return np.where(values < low, 0.0, (values - low) / (high - low))
