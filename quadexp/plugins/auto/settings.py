@@ -17,7 +17,7 @@ class BankSettings:
 
     period: float = 0.01  # s, of the filters, about: a tenth of the fastest attitude dynamics
     largest_age: float = 0.09  # s, of the state: beyond it nothing is acted on
-    largest_dead_time: float = 0.06  # s, of commands
+    largest_dead_time: float = 0.08  # s, of commands
     largest_lag: float = 0.064  # s, of rotors: the slowest published ones
     age_step: float = 0.005  # s, of the coarse grid: half a period
     total_step: float = 0.005  # s, likewise
