@@ -121,7 +121,8 @@ def command_weights(count: int, period: float, span: Any, dead_time: Any, lag: A
 
     begin, end = span
     mean = (integral(end - acts) - integral(begin - acts)) / (end - begin)
-    at_end = -ca.expm1(-ca.fmax(end - INSTANT - acts, 0) / tau)
+    since = end - acts
+    at_end = ca.if_else(since > INSTANT, -ca.expm1(-since / tau), 0)  # what begins at this instant has not acted yet
     passed = ca.if_else(end - begin > INSTANT, mean, at_end)
     passed = ca.vertcat(passed[:-1], 1)
     return passed - ca.vertcat(0, passed[:-1])

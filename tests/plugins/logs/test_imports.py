@@ -69,4 +69,4 @@ def test_what_workers_import_before_their_first_cell():
 
 def test_data_of_a_flight(flight, tmp_path):
     found = by_command("collect", "--flight", flight, "--out", tmp_path / "d.parquet")
-    assert found <= {"casadi", "scipy.spatial", "scipy.linalg", "scipy.special", "scipy.optimize"}  # lag and delay
+    assert found <= {"casadi", "scipy.spatial", "scipy.linalg", "scipy.special", "scipy.optimize", "scipy.interpolate"}
