@@ -96,7 +96,7 @@ def sources(vehicle: Vehicle, sensor_spec: SensorSpec, slope: float, *, by_speed
     offset = math.hypot(reading.drift, vehicle.gravity * tilted.drift)
     noise = math.hypot(max(reading.noise, s.reading_noise), s.tilt_to_acceleration * tilted.noise)
     thrust = 2 * turned.noise / math.sqrt(vehicle.n_rotors) if by_speeds else s.thrust_noise
-    wind = (offset / slope, INTERVAL.untimed_noise / slope) if slope else (0.0, 0.0)
+    wind = (math.hypot(offset / slope, INTERVAL.least_wind), INTERVAL.untimed_noise / slope) if slope else (0.0, 0.0)
     return Sources(slope > 0, by_speeds, tuple(random_walk), tuple(initial), noise, thrust, *wind, offset)
 
 

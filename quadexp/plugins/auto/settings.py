@@ -59,6 +59,7 @@ class IntervalSettings:
     # of a lag: motors lag unlike up and down, by a third to either side (RotorS); which counts within a fifth of that
     unlike: float = 0.07
     longest_period: float = 0.05  # s, of control: readings further apart tell no delays within what is beyond it
+    least_wind: float = 0.15  # m/s: an attitude off by 0.25 deg, which no data sheet states, at a drag of 0.3 1/s
     scale_share: float = 0.2  # of the thrust scale's distance from 1: by a wrong mass the drag is off as well
     untimed_noise: float = 3.0  # m/s^2, along the thrust where the time of the thrusts is not known
     speed_scale: float = 0.1  # of the thrust scale by rotor speeds, whose readings are behind low passes
