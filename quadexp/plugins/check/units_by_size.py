@@ -25,7 +25,7 @@ COUNTS_PER_G = (2048.0, 4096.0, 512.0, 8192.0)  # of MPU and ICM accelerometers,
 IN_HOVER: dict[Any, float] = {unit: GRAVITY / factor for unit, factor in UNITS["acceleration"].items()}
 IN_HOVER |= {counts: counts for counts in COUNTS_PER_G}
 COUNTED = {"rate": "deg/s", "acceleration": "g"}  # what counts are counts of
-APART = 0.03  # of the logarithm: units that are nearer to each other are not told apart
+APART = 0.03  # of the logarithm: units nearer to each other than this count as one
 NEAR = {"rate": 0.15, "acceleration": 0.4}  # of the logarithm: a gain is known better than the mean of a flight's force
 VOLTS = {"V": 60.0, "dV": 280.0, "cV": 6000.0, "mV": np.inf}  # up to which value a battery's voltage is in that unit
 # Largest value of a motor's command, what else must hold, how sure, values of command 0 and 1, what they are.

@@ -1,10 +1,10 @@
 """What differs between results: flights paired by condition, contestant and seed.
 
-Of two, a contestant's errors are over the flights that it completed in both, whoever else did: b is compared with a as
-a contestant is with a baseline in statistics.py, by a mean ratio over the seeds with its interval and the test of
-inference.py, over all conditions, corrected by Holm over the contestants; b is "not distinguishable" if that is not
-significant, and "n seeds cannot tell" where it could not be. Of several, means are over the flights that all
-contestants completed in all of them (pairing.py).
+Of two results a and b, the errors of a contestant are those of the flights that it completed in both, whatever others
+completed. b is compared with a as a contestant is with a baseline in statistics.py: by a mean ratio over the seeds with
+its interval and the test of inference.py, over all conditions, corrected by Holm over the contestants. b is "not
+distinguishable" if that is not significant, and "n seeds cannot tell" where it could not be. Of several results, means
+are over the flights that all contestants completed in all of them (pairing.py).
 """
 
 from __future__ import annotations

@@ -129,14 +129,14 @@ def flights_figure(flights: Mapping[str, Flight]) -> Figure:
         above.plot(first["ref_p_x"], first["ref_p_y"], color="#888888", linewidth=3.5, alpha=0.45, label="reference")
     look = looks([f"{flight.metadata.get('controller', '')} {name}".strip() for name, flight in flights.items()])
     drawn = []
-    for (name, flight), worn in zip(flights.items(), look.values(), strict=True):
+    for (name, flight), style in zip(flights.items(), look.values(), strict=True):
         label = name
         values = norms(flight.stack(["v_x", "v_y", "v_z"])) if not referred else MM * position_error(flight)
         if referred:
             values = np.maximum(values, LEAST_ERROR)
             label = f"{name}: mean {MM * mean_error(flight):.3g} mm"
-        above.plot(flight["p_x"], flight["p_y"], label=name, **worn.line())
-        course.plot(flight.t, values, label=label, **worn.line())
+        above.plot(flight["p_x"], flight["p_y"], label=name, **style.line())
+        course.plot(flight.t, values, label=label, **style.line())
         drawn.append(values)
     above.set(xlabel="x (m)", ylabel="y (m)")
     above.set_aspect("equal", adjustable="datalim")

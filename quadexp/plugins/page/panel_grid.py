@@ -1,4 +1,4 @@
-"""The panels of a figure: how large it is, how many stand side by side, what is said above them and below."""
+"""The panels of a figure: its size, panels in a row, and the texts above and below them."""
 
 from __future__ import annotations
 
