@@ -127,7 +127,7 @@ class CellStore:
 
     def clean(self) -> None:
         """Remove unfinished files of an interrupted run (call it with the lock held)."""
-        for folder in (self.root, *self._folders()):
+        for folder in (self.root, self.folder, *self._folders()):
             clean(folder)
 
     @contextlib.contextmanager

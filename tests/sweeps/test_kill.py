@@ -65,11 +65,13 @@ def test_the_driver_alone(tmp_path, undisturbed):
     assert gone(children), "workers outlive their driver"
     left = len(CellStore(tmp_path / "r").done())
     assert 6 <= left <= 8
+    for folder in (tmp_path / "r", tmp_path / "r/cells"):
+        (folder / f".quadexp-{0:016x}.tmp").write_bytes(b"half")
     (tmp_path / "r/counts").mkdir()
     result = run_sweep(expand(GRID), tmp_path / "r", SweepRequest(function=cells.quick_cell, workers=2))
     assert result.flown == 24 - left == len(list((tmp_path / "r/counts").iterdir()))
     same_results(undisturbed, result)
-    assert not [name for name in files(tmp_path) if name.endswith((".tmp", ".lock"))]
+    assert not [name for name in files(tmp_path / "r") if name.endswith((".tmp", ".lock"))]
 
 
 @pytest.mark.parametrize("seeds", [(4,), (4, 5)], ids=["a worker", "the server it was forked from"])
@@ -87,7 +89,7 @@ def test_a_process_that_is_killed(tmp_path, undisturbed, seeds):
     result = run_sweep(expand(GRID), tmp_path / "r", SweepRequest(function=held, workers=2, progress=disturb))
     assert killed and [row["cause"] for row in result.not_flown] == []
     same_results(undisturbed, result)
-    assert not [name for name in files(tmp_path) if name.endswith((".tmp", ".lock"))]
+    assert not [name for name in files(tmp_path / "r") if name.endswith((".tmp", ".lock"))]
 
 
 def run(function, jobs, **options):

@@ -191,7 +191,7 @@ class TestInterrupt:
         assert line.startswith(f"error: {done} of 40 done; run the same command to continue (what is done is kept in ")
         assert done >= 6
         assert len(CellStore(tmp_path / "r").done()) == done
-        assert not [name for name in files(tmp_path) if name.endswith((".tmp", ".lock"))]
+        assert not [name for name in files(tmp_path / "r") if name.endswith((".tmp", ".lock"))]
         deadline = time.time() + 120
         while self.group_members(process.pid) and time.time() < deadline:
             time.sleep(0.05)
