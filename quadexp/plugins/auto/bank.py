@@ -40,8 +40,8 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.auto.settings import BANK
 from quadexp.plugins.remedies.sent_commands import SETTLED
 
-GYROS, VELOCITIES, AXES = len(BANK.gyro_models), len(BANK.velocity_models), 3
-CHANNELS = 2 * GYROS + 1  # filters that commands drive: two axes of each noise model, and the thrust
+VELOCITIES, AXES = len(BANK.velocity_models), 3
+CHANNELS = 3  # filters that commands drive: two axes of the gyroscope, and the thrust
 
 
 class Sums(Memory):
@@ -83,7 +83,7 @@ class Layout:
             "noise": 3,
         }
         self.moments = {
-            "gyro": (GYROS, self.commands + 3),
+            "gyro": (1, self.commands + 3),
             "thrust": (1, self.commands + 3),
             "velocity": (VELOCITIES, 2 * self.columns),
             "attitude": (1, 2 * self.columns),
@@ -131,7 +131,7 @@ class Bank:
         """What is remembered in the state x, (13,), where this command, (n,) (N), has been sent for a long time."""
         specific, readings = thrust.sum() / self.vehicle.mass, self.layout.readings
         filters = np.zeros((4, CHANNELS), x.dtype)
-        filters[0] = [*np.tile(x[RATE][:2], GYROS), specific]
+        filters[0] = [*x[RATE][:2], specific]
         filters[1, -1] = specific
         velocity = np.zeros((VELOCITIES * AXES, self.layout.columns), x.dtype)
         velocity[:, 0] = np.tile(x[VELOCITY], VELOCITIES)
@@ -160,13 +160,13 @@ class Bank:
 
 
 @cache
-def stationary_gain(noise: float, random_walk: float, period: float) -> tuple[float, float]:
-    """Gains on rate and torque of the stationary filter of the gyroscope, see BankSettings.gyro_models."""
-    F, Q = np.array([[1.0, period], [0.0, 1.0]]), np.diag([BANK.rate_walk**2, random_walk**2]) * period
+def stationary_gain(period: float) -> tuple[float, float]:
+    """Gains on rate and torque of the stationary filter of the gyroscope."""
+    F, Q = np.array([[1.0, period], [0.0, 1.0]]), np.diag([BANK.rate_walk**2, BANK.torque_walk**2]) * period
     P = np.eye(2)
     for _ in range(3000):
         P = F @ P @ F.T + Q
-        K = P[:, 0] / (P[0, 0] + noise**2)
+        K = P[:, 0] / (P[0, 0] + BANK.gyro_noise**2)
         P = P - np.outer(K, P[0])
     return float(K[0]), float(K[1])
 
@@ -201,15 +201,14 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     turning = -ca.mtimes(inverse, ca.cross(middle, ca.mtimes(inertia, middle)))[:2]
     spin = ca.mtimes(ca.mtimes(inverse, ca.DM(vehicle.allocation[1:])), sent)[:2]
     thrust_gain = first_order_gain(BANK.thrust_walk * math.sqrt(period) / BANK.thrust_noise)
-    gains = [stationary_gain(*model, period) for model in BANK.gyro_models for _ in range(2)]
-    gain = ca.DM([*gains, (thrust_gain, 0.0)])
+    gain = ca.DM([*[stationary_gain(period)] * 2, (thrust_gain, 0.0)])
     of_rates = ca.horzcat(w[:2], ca.DM.zeros(2))
     of_thrust = ca.horzcat(f[2] - air[2], ca.sum1(sent) / vehicle.mass)
-    reading = ca.vertcat(ca.repmat(of_rates, GYROS, 1), of_thrust)
-    drive = ca.vertcat(ca.repmat(ca.horzcat(turning, -spin), GYROS, 1), ca.DM.zeros(1, 2))
+    reading = ca.vertcat(of_rates, of_thrust)
+    drive = ca.vertcat(ca.horzcat(turning, -spin), ca.DM.zeros(1, 2))
     value, bias = ca.horzsplit(ca.reshape(kept["filters"], CHANNELS, 4), 2)
     predicted = value + period * (bias + drive)
-    updates = ca.vertcat(ca.DM.ones(2 * GYROS), read)
+    updates = ca.vertcat(1, 1, read)
     innovation = ca.repmat(updates, 1, 2) * (reading - predicted)
     value = predicted + ca.repmat(gain[:, 0], 1, 2) * innovation
     bias = bias + ca.repmat(gain[:, 1], 1, 2) * innovation

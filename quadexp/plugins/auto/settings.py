@@ -24,8 +24,8 @@ class BankSettings:
     lag_step: float = 0.008  # s: dead time and lag are hard to tell apart
     fine: int = 5  # into how many the finer grid divides a step
     passes: int = 4  # of the finer grid at most, which moves while its mode is on its edge
-    gyro_models: tuple[tuple[float, float], ...] = ((3e-4, 0.3), (5e-3, 0.3), (5e-2, 0.3))
-    # of a reading (rad/s) and of a walk of the torque (rad/s^2/sqrt(s)): exact, good and poor gyroscopes; nine: 1.03
+    gyro_noise: float = 5e-3  # rad/s, of a reading: a good one; exact and poor ones beside it: 1.00
+    torque_walk: float = 0.3  # rad/s^2/sqrt(s), of a disturbing torque
     rate_walk: float = 0.05  # rad/s/sqrt(s), white torques as of turbulence: 1.08 without
     velocity_models: tuple[float, ...] = (1e-4, 3e-3, 3e-2)  # m/s, of a given velocity: exact, filtered, raw; two: 1.08
     thrust_noise: float = 0.28  # m/s^2, of the model along the thrust: 3 % of gravity
