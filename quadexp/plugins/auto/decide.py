@@ -114,6 +114,20 @@ def decided(known: Expression, found: Mapping[str, Expression], last: Decision, 
     return Decision(*ca.vertsplit(ca.if_else(known, found_now, ca.vertcat(*last[:4], grid, last.timing))))
 
 
+def intervals(found: Mapping[str, Expression], beside: Expression) -> tuple[Expression, Expression]:
+    """Ends of 95 % intervals of age, total and lag, (3,) each: quantiles of the posterior, and half a band `beside`, (3,).
+
+    Age and total are mostly known by their sum. So that there is none of one, at the edge of what can be, and all of
+    both is the other, lies within, unless the Bayes factor excludes it.
+    """
+    age, total, _ = ca.vertsplit(found["mean"])
+    ageless, prompt = ca.vertsplit(found["odds"] < INTERVAL.none_odds)
+    least = found["lower"] * (1 - ca.vertcat(ageless, prompt, prompt))
+    most = ca.fmax(found["upper"], (age + total) * ca.vertcat(prompt, ageless, 0))
+    lower = ca.fmax(found["mean"] - ca.hypot(found["mean"] - least, beside), 0)
+    return lower, found["mean"] + ca.hypot(most - found["mean"], beside)
+
+
 def known(age: float, dead_time: float, lag: float) -> Decision:
     """What is acted on once these delays (s) are known, as far as they are looked for, in the stiffest grid."""
     delays, largest = (age, dead_time, lag), (BANK.largest_age, BANK.largest_dead_time, BANK.largest_lag)
@@ -181,14 +195,13 @@ def decision_function(
     acts = Decision(*ca.vertsplit(decision))
     crossed = ca.if_else(ca.mmax(differs) > 0, UNKNOWN, crossed)  # the next one goes on from this one
 
-    # intervals: the posterior's quantiles, and beside them what the model of all hypotheses leaves out
+    # intervals, and beside them what the model of all hypotheses leaves out
     age, _, lag = ca.vertsplit(of["mean"])
     untold = ca.hypot(apart, ca.hypot(unsaid * age / INTERVAL.band, INTERVAL.unlike * lag))
     unsure = ca.if_else(done, untold, kept["unsure"])
     late = ca.fabs(age - acts.age)  # age that does not act
     beside = INTERVAL.band * ca.hypot(INTERVAL.inexact * of["mean"], unsure)
-    lower = ca.fmax(of["mean"] - ca.hypot(of["mean"] - of["lower"], beside), 0)
-    upper = of["mean"] + ca.hypot(of["upper"] - of["mean"], beside)
+    lower, upper = intervals(of, beside)
     beliefs = ca.vertcat(of["mean"], lower, ca.if_else(at_end, math.inf, upper), of["newer"])
     beliefs = ca.if_else(done, beliefs, kept["beliefs"][:BELIEFS])
     left = {

@@ -55,6 +55,7 @@ class IntervalSettings:
     """What a 95 % interval has beside the posterior: what the model of all hypotheses leaves out."""
 
     band: float = 1.96  # deviations
+    none_odds: float = 5.0  # log Bayes factor that excludes no age, or no total, at all: very strong (Kass & Raftery)
     inexact: float = 0.03  # of a delay: messages take unlike times
     # of a lag: motors lag unlike up and down, by a third to either side (RotorS); which counts within a fifth of that
     unlike: float = 0.07
@@ -164,7 +165,8 @@ class DecisionSettings:
     grids: tuple[Grid, ...] = (
         # The second one flies under noise: hover in `everything` had 0.42 of its samples at a limit, 0.14 by 10 times
         # the weight of commands, at 1.04 of the error; on stiffer ones it costs a fifth with exact sensors.
-        Grid(0.06, 0.8, 40.0, math.inf),
+        # Behind long delays none of these: growth 1.5/s at hover behind 40 + 60 ms, and lost at 21 Hz behind 66 + 33 ms
+        Grid(0.06, 0.8, 40.0, 0.01),
         Grid(0.06, 0.8, 100.0, 0.008, 10.0),
         Grid(0.04, 0.8, 50.0, 0.005),
         Grid(0.02, 0.8, 200.0, 0.0025),  # a horizon of 0.6 s is too short for corners
