@@ -160,7 +160,7 @@ class Auto(WrappedController):
     def settled(self, age: float, dead_time: float, lag: float) -> Iterator[None]:
         """Meanwhile it flies as it does once these delays (s) have been found, with the stiffest grid that it then may
         choose: what margins are taken of."""
-        self._begin, self._judged = known(age, dead_time, lag), True
+        self._begin, self._judged = known(age, dead_time, lag, self.control_period), True
         try:
             yield
         finally:

@@ -85,9 +85,11 @@ class Statistics(NamedTuple):
     stiffest: Expression = len(DECISION.grids)
 
 
-def decided(known: Expression, found: Mapping[str, Expression], last: Decision, statistics: Statistics) -> Decision:
+def decided(
+    known: Expression, found: Mapping[str, Expression], last: Decision, statistics: Statistics, period: float
+) -> Decision:
     """What to act on from now on. found: mean and deviation, (3,), newer, odds, (2,), at_end, (3,), of a posterior;
-    known: whether there is one."""
+    known: whether there is one. period: of control (s)."""
     s = DECISION
     age, total, lag = ca.vertsplit(found["mean"])
     of_age, of_total = ca.vertsplit(found["odds"])
@@ -106,7 +108,7 @@ def decided(known: Expression, found: Mapping[str, Expression], last: Decision, 
     grid = ca.fmin(grid, len(s.grids) - ca.logic_or(acted >= s.stiff_total, noisy))
     grid = ca.fmin(grid, last.grid + 1)
     grid = ca.if_else(statistics.saturated > s.saturated, ca.fmin(grid, s.middle), grid)
-    grid = ca.if_else(ca.mmax(found["at_end"][:2]) > 0, 0, grid)
+    grid *= ca.logic_and(ca.mmax(found["at_end"][:2]) <= 0, age + acted + period < s.soft_sum)
     # without evidence the softest grid would let the error stand for a second
     grid = ca.if_else(known, grid, ca.fmax(last.grid, statistics.acts))
     grid = ca.fmin(grid, statistics.stiffest)
@@ -128,11 +130,12 @@ def intervals(found: Mapping[str, Expression], beside: Expression) -> tuple[Expr
     return lower, found["mean"] + ca.hypot(most - found["mean"], beside)
 
 
-def known(age: float, dead_time: float, lag: float) -> Decision:
+def known(age: float, dead_time: float, lag: float, period: float) -> Decision:
     """What is acted on once these delays (s) are known, as far as they are looked for, in the stiffest grid."""
     delays, largest = (age, dead_time, lag), (BANK.largest_age, BANK.largest_dead_time, BANK.largest_lag)
     grid = len(DECISION.grids) - (dead_time + lag >= DECISION.stiff_total)
-    if any(delay > most for delay, most in zip(delays, largest, strict=True)):
+    too_late = any(delay > most for delay, most in zip(delays, largest, strict=True))
+    if too_late or sum(delays) + period >= DECISION.soft_sum:
         grid = 0
     age, dead_time, lag = map(min, delays, largest)
     return Decision(age, dead_time, lag, 0.0, grid, 0.0)
@@ -189,7 +192,7 @@ def decision_function(
     # the decision
     is_known = ca.fmax(kept["known"], done)
     decides = ca.logic_or(done, looks * ca.logic_not(searching) * (ca.mmax(ca.fabs(crossed - kept["crossed"])) > 0))
-    decision = ca.vertcat(*decided(is_known, of, last, statistics))
+    decision = ca.vertcat(*decided(is_known, of, last, statistics, period))
     decision = ca.if_else(decides, decision, kept["decision"])
     differs = ca.fabs(decision - kept["decision"]) > 0
     acts = Decision(*ca.vertsplit(decision))

@@ -149,6 +149,9 @@ class DecisionSettings:
     least_lag: float = 0.003  # s, below which a lag is not inverted: it would amplify noise
     next_period: float = 0.25  # of a period, by which rotor speeds of the one before are later at least: motors lag
     large_noise: float = 0.002  # m, of the estimated position, which a stiff controller would amplify
+    # s, largest sum of age, total and control period under any but the controller's own: behind 40 + 60 ms at 50 Hz the
+    # softest of grids grows by 1.5/s at hover, behind 66 + 33 ms at 21 Hz a vehicle was lost
+    soft_sum: float = 0.11
     stiff_total: float = 0.015  # s, largest total under the stiffest grid
     at_limit: float = 0.999  # share of the range of a thrust from which on it is at its limit
     saturated: float = 0.2  # share of recent commands at a limit, from which on the grid is a middle one
@@ -165,8 +168,7 @@ class DecisionSettings:
     grids: tuple[Grid, ...] = (
         # The second one flies under noise: hover in `everything` had 0.42 of its samples at a limit, 0.14 by 10 times
         # the weight of commands, at 1.04 of the error; on stiffer ones it costs a fifth with exact sensors.
-        # Behind long delays none of these: growth 1.5/s at hover behind 40 + 60 ms, and lost at 21 Hz behind 66 + 33 ms
-        Grid(0.06, 0.8, 40.0, 0.01),
+        Grid(0.06, 0.8, 40.0, math.inf),
         Grid(0.06, 0.8, 100.0, 0.008, 10.0),
         Grid(0.04, 0.8, 50.0, 0.005),
         Grid(0.02, 0.8, 200.0, 0.0025),  # a horizon of 0.6 s is too short for corners

@@ -22,7 +22,7 @@ def found(age=0.0, total=0.0, lag=0.0, *, sd=0.0005, age_odds=0.0, total_odds=0.
 def decide(of, last=NOTHING, statistics=NO_SENSES):
     """What is decided, as numbers; of: None before there is evidence."""
     known = of is not None
-    made = decided(ca.DM(known), of or found(), Decision(*map(ca.DM, last)), Statistics(*map(ca.DM, statistics)))
+    made = decided(ca.DM(known), of or found(), Decision(*map(ca.DM, last)), Statistics(*map(ca.DM, statistics)), 0.02)
     return Decision(*map(float, made))
 
 
@@ -84,6 +84,12 @@ def test_what_may_be_any_later_is_flown_on_the_softest_grid():
     """With what is known acted on: acting on nothing loses the vehicle."""
     late = decide(found(age=0.09, age_odds=50, at_end=True), NOTHING._replace(grid=3), NO_SENSES)
     assert (late.age, late.grid) == (0.09, 0)
+
+
+def test_long_delays_are_flown_on_the_softest_grid():
+    """Of age, dead time, lag and control period together."""
+    for total, grid in ((0.06, 1), (0.08, 0)):
+        assert decide(found(age=0.02, age_odds=50, total=total, total_odds=9), NOTHING, NO_SENSES).grid == grid
 
 
 def test_a_disturbance_without_other_evidence_ends_the_softest_grid():
