@@ -116,7 +116,9 @@ class Bank:
         self.stated = max(noise[0], BANK.least_reading)
         self.turn_noise = (BANK.least_turn + noise[1]) * self.period, BANK.least_attitude + noise[2]
         attitude_gain = first_order_gain(self.turn_noise[0] / self.turn_noise[1])
-        self._places = {"theta": theta, "stated": np.full(1, self.stated), "attitude_gain": np.full(1, attitude_gain)}
+        gyro_gain = stationary_gain(BANK.least_turn + noise[1], self.period)
+        self._places = {"theta": theta, "stated": np.full(1, self.stated), "gyro_gain": np.array(gyro_gain)}
+        self._places["attitude_gain"] = np.full(1, attitude_gain)
         self._function = cached_function(backend, bank_function, vehicle, residual, self.period, self.every)
         self.memory = Memory("Bank", sizes_of([self._function]) | {"sent": vehicle.n_rotors})
         shapes = {name: (models, size, size) for name, (models, size) in self.layout.moments.items()}
@@ -160,13 +162,13 @@ class Bank:
 
 
 @cache
-def stationary_gain(period: float) -> tuple[float, float]:
-    """Gains on rate and torque of the stationary filter of the gyroscope."""
+def stationary_gain(noise: float, period: float) -> tuple[float, float]:
+    """Gains on rate and torque of the stationary filter of a gyroscope with this noise (rad/s)."""
     F, Q = np.array([[1.0, period], [0.0, 1.0]]), np.diag([BANK.rate_walk**2, BANK.torque_walk**2]) * period
     P = np.eye(2)
     for _ in range(3000):
         P = F @ P @ F.T + Q
-        K = P[:, 0] / (P[0, 0] + BANK.gyro_noise**2)
+        K = P[:, 0] / (P[0, 0] + noise**2)
         P = P - np.outer(K, P[0])
     return float(K[0]), float(K[1])
 
@@ -181,12 +183,12 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     """A period of the bank: memory after it, and the rows z of each filter, one after another.
 
     Inputs: memory, see Layout, and `sent` (n,), the commands since the last period, added (N); x (13,), given; f (3,),
-    reading, and whether it was `read`; stated noise (m/s^2); attitude_gain, of its filter; theta.
+    reading, and whether it was `read`; stated noise (m/s^2); gyro_gain (2,) and attitude_gain, of their filters; theta.
     """
     layout, n = Layout(period), vehicle.n_rotors
     readings, columns = layout.readings, layout.columns
     shapes = {NOW + name: size for name, size in layout.sizes.items()} | {f"{NOW}sent": n}
-    shapes |= {"x": N_STATE, "f": 3, "read": 1, "stated": 1, "attitude_gain": 1, "theta": residual.function.size1_in(1)}
+    shapes |= {"x": N_STATE, "f": 3, "read": 1, "stated": 1, "gyro_gain": 2, "attitude_gain": 1, "theta": residual.function.size1_in(1)}
     a = named_symbols(ca.MX, shapes)
     kept = {name: a[NOW + name] for name in layout.sizes}
     x, last, read, count = a["x"], kept["x"], a["read"], kept["count"] + 1
@@ -201,7 +203,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     turning = -ca.mtimes(inverse, ca.cross(middle, ca.mtimes(inertia, middle)))[:2]
     spin = ca.mtimes(ca.mtimes(inverse, ca.DM(vehicle.allocation[1:])), sent)[:2]
     thrust_gain = first_order_gain(BANK.thrust_walk * math.sqrt(period) / BANK.thrust_noise)
-    gain = ca.DM([*[stationary_gain(period)] * 2, (thrust_gain, 0.0)])
+    gain = ca.vertcat(*[a["gyro_gain"].T] * 2, ca.DM([[thrust_gain, 0.0]]))
     of_rates = ca.horzcat(w[:2], ca.DM.zeros(2))
     of_thrust = ca.horzcat(f[2] - air[2], ca.sum1(sent) / vehicle.mass)
     reading = ca.vertcat(of_rates, of_thrust)

@@ -119,13 +119,13 @@ def decided(
 def intervals(found: Mapping[str, Expression], beside: Expression) -> tuple[Expression, Expression]:
     """Ends of 95 % intervals of age, total and lag, (3,) each: quantiles of the posterior, and half a band `beside`, (3,).
 
-    Age and total are mostly known by their sum. So that there is none of one, at the edge of what can be, and all of
-    both is the other, lies within, unless the Bayes factor excludes it.
+    Age and total are mostly known by their sum, to half a step of the finer grid. So that there is none of one, at the
+    edge of what can be, and all of both is the other, lies within, unless the Bayes factor excludes it.
     """
-    age, total, _ = ca.vertsplit(found["mean"])
+    both = found["mean"][0] + found["mean"][1] + BANK.age_step / BANK.fine / 2
     ageless, prompt = ca.vertsplit(found["odds"] < INTERVAL.none_odds)
     least = found["lower"] * (1 - ca.vertcat(ageless, prompt, prompt))
-    most = ca.fmax(found["upper"], (age + total) * ca.vertcat(prompt, ageless, 0))
+    most = ca.fmax(found["upper"], both * ca.vertcat(prompt, ageless, 0))
     lower = ca.fmax(found["mean"] - ca.hypot(found["mean"] - least, beside), 0)
     return lower, found["mean"] + ca.hypot(most - found["mean"], beside)
 

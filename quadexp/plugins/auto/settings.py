@@ -24,7 +24,6 @@ class BankSettings:
     lag_step: float = 0.008  # s: dead time and lag are hard to tell apart
     fine: int = 5  # into how many the finer grid divides a step
     passes: int = 4  # of the finer grid at most, which moves while its mode is on its edge
-    gyro_noise: float = 5e-3  # rad/s, of a reading: a good one; exact and poor ones beside it: 1.00
     torque_walk: float = 0.3  # rad/s^2/sqrt(s), of a disturbing torque
     rate_walk: float = 0.05  # rad/s/sqrt(s), white torques as of turbulence: 1.08 without
     velocity_models: tuple[float, ...] = (1e-4, 3e-3, 3e-2)  # m/s, of a given velocity: exact, filtered, raw; two: 1.08

@@ -160,7 +160,7 @@ def test_the_moments_are_those_of_a_kalman_filter_of_each_hypothesis(vehicle):
     age, dead_time, lag = 0.013, 0.007, 0.021
     mean = sent.weights(np.array([[-PERIOD, 0.0]]), dead_time + age, lag)[0]
     now = sent.weights(np.zeros((1, 2)), dead_time, lag)[0]
-    spin, gains, turning = spin_of(vehicle), stationary_gain(PERIOD), np.zeros((2, 2))
+    spin, gains, turning = spin_of(vehicle), stationary_gain(BANK.least_turn, PERIOD), np.zeros((2, 2))
     inertia, before, push = vehicle.inertia_matrix, np.zeros(3), command.sum() / vehicle.mass
     squares, thrust_squares, level = 0.0, 0.0, push
     gain, fading = first_order_gain(BANK.thrust_walk * np.sqrt(PERIOD) / BANK.thrust_noise), PERIOD / BANK.forgetting
