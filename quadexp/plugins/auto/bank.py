@@ -40,8 +40,8 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.auto.settings import BANK
 from quadexp.plugins.remedies.sent_commands import SETTLED
 
-VELOCITIES, AXES = len(BANK.velocity_models), 3
-CHANNELS = 3  # filters that commands drive: two axes of the gyroscope, and the thrust
+GYROS, VELOCITIES, AXES = len(BANK.gyro_models), len(BANK.velocity_models), 3
+CHANNELS = 2 * GYROS + 1  # filters that commands drive: two axes of each noise model, and the thrust
 
 
 class Sums(Memory):
@@ -83,7 +83,7 @@ class Layout:
             "noise": 3,
         }
         self.moments = {
-            "gyro": (1, self.commands + 3),
+            "gyro": (GYROS, self.commands + 3),
             "thrust": (1, self.commands + 3),
             "velocity": (VELOCITIES, 2 * self.columns),
             "attitude": (1, 2 * self.columns),
@@ -116,9 +116,7 @@ class Bank:
         self.stated = max(noise[0], BANK.least_reading)
         self.turn_noise = (BANK.least_turn + noise[1]) * self.period, BANK.least_attitude + noise[2]
         attitude_gain = first_order_gain(self.turn_noise[0] / self.turn_noise[1])
-        gyro_gain = stationary_gain(BANK.least_turn + noise[1], self.period)
-        self._places = {"theta": theta, "stated": np.full(1, self.stated), "gyro_gain": np.array(gyro_gain)}
-        self._places["attitude_gain"] = np.full(1, attitude_gain)
+        self._places = {"theta": theta, "stated": np.full(1, self.stated), "attitude_gain": np.full(1, attitude_gain)}
         self._function = cached_function(backend, bank_function, vehicle, residual, self.period, self.every)
         self.memory = Memory("Bank", sizes_of([self._function]) | {"sent": vehicle.n_rotors})
         shapes = {name: (models, size, size) for name, (models, size) in self.layout.moments.items()}
@@ -133,7 +131,7 @@ class Bank:
         """What is remembered in the state x, (13,), where this command, (n,) (N), has been sent for a long time."""
         specific, readings = thrust.sum() / self.vehicle.mass, self.layout.readings
         filters = np.zeros((4, CHANNELS), x.dtype)
-        filters[0] = [*x[RATE][:2], specific]
+        filters[0] = [*np.tile(x[RATE][:2], GYROS), specific]
         filters[1, -1] = specific
         velocity = np.zeros((VELOCITIES * AXES, self.layout.columns), x.dtype)
         velocity[:, 0] = np.tile(x[VELOCITY], VELOCITIES)
@@ -162,9 +160,9 @@ class Bank:
 
 
 @cache
-def stationary_gain(noise: float, period: float) -> tuple[float, float]:
-    """Gains on rate and torque of the stationary filter of a gyroscope with this noise (rad/s)."""
-    F, Q = np.array([[1.0, period], [0.0, 1.0]]), np.diag([BANK.rate_walk**2, BANK.torque_walk**2]) * period
+def stationary_gain(noise: float, random_walk: float, period: float) -> tuple[float, float]:
+    """Gains on rate and torque of the stationary filter of the gyroscope, see BankSettings.gyro_models."""
+    F, Q = np.array([[1.0, period], [0.0, 1.0]]), np.diag([BANK.rate_walk**2, random_walk**2]) * period
     P = np.eye(2)
     for _ in range(3000):
         P = F @ P @ F.T + Q
@@ -183,12 +181,12 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     """A period of the bank: memory after it, and the rows z of each filter, one after another.
 
     Inputs: memory, see Layout, and `sent` (n,), the commands since the last period, added (N); x (13,), given; f (3,),
-    reading, and whether it was `read`; stated noise (m/s^2); gyro_gain (2,) and attitude_gain, of their filters; theta.
+    reading, and whether it was `read`; stated noise (m/s^2); attitude_gain, of its filter; theta.
     """
     layout, n = Layout(period), vehicle.n_rotors
     readings, columns = layout.readings, layout.columns
     shapes = {NOW + name: size for name, size in layout.sizes.items()} | {f"{NOW}sent": n}
-    shapes |= {"x": N_STATE, "f": 3, "read": 1, "stated": 1, "gyro_gain": 2, "attitude_gain": 1, "theta": residual.function.size1_in(1)}
+    shapes |= {"x": N_STATE, "f": 3, "read": 1, "stated": 1, "attitude_gain": 1, "theta": residual.function.size1_in(1)}
     a = named_symbols(ca.MX, shapes)
     kept = {name: a[NOW + name] for name in layout.sizes}
     x, last, read, count = a["x"], kept["x"], a["read"], kept["count"] + 1
@@ -203,14 +201,15 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     turning = -ca.mtimes(inverse, ca.cross(middle, ca.mtimes(inertia, middle)))[:2]
     spin = ca.mtimes(ca.mtimes(inverse, ca.DM(vehicle.allocation[1:])), sent)[:2]
     thrust_gain = first_order_gain(BANK.thrust_walk * math.sqrt(period) / BANK.thrust_noise)
-    gain = ca.vertcat(*[a["gyro_gain"].T] * 2, ca.DM([[thrust_gain, 0.0]]))
+    gains = [stationary_gain(*model, period) for model in BANK.gyro_models for _ in range(2)]
+    gain = ca.DM([*gains, (thrust_gain, 0.0)])
     of_rates = ca.horzcat(w[:2], ca.DM.zeros(2))
     of_thrust = ca.horzcat(f[2] - air[2], ca.sum1(sent) / vehicle.mass)
-    reading = ca.vertcat(of_rates, of_thrust)
-    drive = ca.vertcat(ca.horzcat(turning, -spin), ca.DM.zeros(1, 2))
+    reading = ca.vertcat(ca.repmat(of_rates, GYROS, 1), of_thrust)
+    drive = ca.vertcat(ca.repmat(ca.horzcat(turning, -spin), GYROS, 1), ca.DM.zeros(1, 2))
     value, bias = ca.horzsplit(ca.reshape(kept["filters"], CHANNELS, 4), 2)
     predicted = value + period * (bias + drive)
-    updates = ca.vertcat(1, 1, read)
+    updates = ca.vertcat(ca.DM.ones(2 * GYROS), read)
     innovation = ca.repmat(updates, 1, 2) * (reading - predicted)
     value = predicted + ca.repmat(gain[:, 0], 1, 2) * innovation
     bias = bias + ca.repmat(gain[:, 1], 1, 2) * innovation

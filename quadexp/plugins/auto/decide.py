@@ -2,10 +2,11 @@
 
 age               posterior mean, where the Bayes factor against none is very strong
 dead time, lag    posterior mean, where it is positive
-stiffness         by the timing uncertainty  sigma = sd(D) + |D - acted| + max(sd(a), |a - acted| / 2) / 2, the noise
-                  of the estimated position, how commands alternate, and whether rotors saturate; one grid at a time
-                  towards the stiffer. Where age or total may be any larger one than those of the grid, and as long as
-                  there are few readings, it is the softest.
+stiffness         the stiffest grid where the timing uncertainty  sigma = sd(D) + |D - acted| + max(sd(a), |a - acted|
+                  / 2) / 2  and the total are short, the estimated position has no noise and no rotor saturates; one
+                  grid at a time towards it. The softest, the controller's own, where age or total may be any larger
+                  one than those that are looked for, where they and the period are long, and as long as there are few
+                  readings.
 
 A look at the evidence begins a search for the posterior where one is due: the coarse grid in the next instant, finer
 ones in those after it, each where the last one ended, until one's mode is not on its edge. As a flight begins, all are
@@ -38,7 +39,7 @@ KEPT = {
     "wait": 1,
     "saturates": 1,
     "next": 1,
-    "crossed": 4,
+    "crossed": 2,
     "known": 1,
     "searches": 1,
     "rounds": 1,
@@ -74,15 +75,12 @@ NOTHING = Decision(0.0, 0.0, 0.0, 0.0, 0.0, DISTURBANCE.unknown_timing)  # befor
 
 
 class Statistics(NamedTuple):
-    """What is measured beside the delays. position: noise of the estimated one (m). saturated, saturates: shares of
-    commands at a limit, lately and over longer. acts: whether a disturbance is assumed. stiffest: of the grids that
-    what has been seen so far is enough for."""
+    """What is measured beside the delays. busy: whether noise or saturated rotors speak against the stiffest grid.
+    acts: whether a disturbance is assumed. enough: whether there are enough readings for any but the softest grid."""
 
-    position: Expression = 0.0
-    saturated: Expression = 0.0
-    saturates: Expression = 0.0
+    busy: Expression = 0.0
     acts: Expression = 0.0
-    stiffest: Expression = len(DECISION.grids)
+    enough: Expression = 1.0
 
 
 def decided(
@@ -103,21 +101,18 @@ def decided(
     age, acted, lag, newer = ca.vertsplit(ca.if_else(small, before, wanted))
     late = ca.fmax(found["deviation"][0], ca.fabs(found["mean"][0] - age) / 2)  # also an age that does not act yet
     timing = found["deviation"][1] + ca.fabs(total - acted) + late / 2
-    grid = sum(timing + s.inexact * (age + acted) < one.timing for one in s.grids)
-    noisy = ca.logic_or(statistics.position > s.large_noise, statistics.saturates > s.saturates)
-    grid = ca.fmin(grid, len(s.grids) - ca.logic_or(acted >= s.stiff_total, noisy))
-    grid = ca.fmin(grid, last.grid + 1)
-    grid = ca.if_else(statistics.saturated > s.saturated, ca.fmin(grid, s.middle), grid)
-    grid *= ca.logic_and(ca.mmax(found["at_end"][:2]) <= 0, age + acted + period < s.soft_sum)
+    stiff = (timing + s.inexact * (age + acted) < s.stiff_timing) * (acted < s.stiff_total) * (1 - statistics.busy)
+    soft = ca.logic_or(ca.mmax(found["at_end"][:2]) > 0, age + acted + period >= s.soft_sum)
+    grid = ca.if_else(soft, 0, ca.fmin(1 + stiff, last.grid + 1))
     # without evidence the softest grid would let the error stand for a second
     grid = ca.if_else(known, grid, ca.fmax(last.grid, statistics.acts))
-    grid = ca.fmin(grid, statistics.stiffest)
+    grid *= statistics.enough
     found_now = ca.vertcat(age, acted - lag, lag, newer, grid, timing)
     return Decision(*ca.vertsplit(ca.if_else(known, found_now, ca.vertcat(*last[:4], grid, last.timing))))
 
 
 def intervals(found: Mapping[str, Expression], beside: Expression) -> tuple[Expression, Expression]:
-    """Ends of 95 % intervals of age, total and lag, (3,) each: quantiles of the posterior, and half a band `beside`, (3,).
+    """Ends of 95 % intervals of age, total and lag, (3,) each: quantiles of the posterior, and half a band `beside`.
 
     Age and total are mostly known by their sum, to half a step of the finer grid. So that there is none of one, at the
     edge of what can be, and all of both is the other, lies within, unless the Bayes factor excludes it.
@@ -144,7 +139,7 @@ def known(age: float, dead_time: float, lag: float, period: float) -> Decision:
 def start_of(begin: Decision) -> dict[str, Any]:
     """What is remembered of decisions as a flight begins, but for zeros."""
     beliefs = [*[0.0] * 3, *[np.nan] * 6, *[0.0] * 5]
-    start = {"next": DECISION.begins, "crossed": np.full(4, UNKNOWN), "decision": np.array(begin), "beliefs": beliefs}
+    start = {"next": DECISION.begins, "crossed": np.full(2, UNKNOWN), "decision": np.array(begin), "beliefs": beliefs}
     return start | {"late": DISTURBANCE.unknown_timing}
 
 
@@ -174,8 +169,9 @@ def decision_function(
     position = ca.sqrt(ca.fmax(a["noise"][1], 0)) * (elapsed > BANK.measured_after + rounding)
     enough = a["count"] >= s.few_readings
     acts_now = enough * (ca.mmax(a["acts"]) > 0)
-    statistics = Statistics(position, saturated, saturates, acts_now, len(s.grids) * enough)
-    crossed = ca.vertcat(position > s.large_noise, saturated > s.saturated, saturates > s.saturates, statistics.acts)
+    busy = (position > s.large_noise, saturated > s.saturated, saturates > s.saturates)
+    statistics = Statistics(ca.mmax(ca.vertcat(*busy)), acts_now, enough)
+    crossed = ca.vertcat(statistics.busy, statistics.acts)
     often, seldom = (max(1, round(each / period)) for each in (s.soonest, s.checks))
 
     # the search goes on, or ends

@@ -16,8 +16,8 @@ typedef SUM real;
 typedef INTEGER integer;
 
 enum { LATE, PROMPT, BETWEEN };
-enum { GYRO, THRUST, VELOCITY, ATTITUDE, WEIGHTS, LATERAL, CENTRE, MODEL, ROUNDS };
-enum { MODE, LIKELIEST, ODDS, AT_END, MOVED, MEAN, DEVIATION, LOWER, UPPER, NEWER };
+enum { GYRO, THRUST, VELOCITY, ATTITUDE, WEIGHTS, LATERAL, CENTRE, MODELS, ROUNDS };
+enum { MODE, CHOSEN, ODDS, AT_END, MOVED, MEAN, DEVIATION, LOWER, UPPER, NEWER };
 enum { A, D, L, R, BIAS = 3, COLUMNS = 1 + READINGS + BIAS, BLOCK = COMMANDS + 3, MEANS = 3 };
 
 typedef struct { /* low, high: between them hypotheses count. times: of a - r + D */
@@ -256,7 +256,7 @@ static void posterior(const number **arg, const number *centre, number **res, in
             one->possible &= dead_time > -INSTANT && dead_time < LARGEST_DEAD_TIME + INSTANT;
             if (one->possible) lead_in(one, total, lag, SPAN_FORCE, falls[l]);
         }
-    real worth;
+    real worth, most_of_gyro = 0;
     (void)by_commands(of_total, &worth, heads, moments(arg[THRUST]), &thrust, &g);
     logarithms(of_total, heads, worth, n_D * n_l);
     for (int k = 0; k < n_D * n_l; k++) {
@@ -273,7 +273,16 @@ static void posterior(const number **arg, const number *centre, number **res, in
             one->possible &= wait > -INSTANT && wait < LARGEST_DEAD_TIME + LARGEST_AGE + INSTANT;
             if (one->possible) lead_in(one, time + gyro.shift, at(&g, L, l), PERIOD, falls[l]);
         }
-    (void)by_commands(of_gyro, &worth, heads, moments(arg[GYRO]), &gyro, &g);
+    int models[2] = {0, 0};
+    for (int i = whole ? 0 : (int)arg[MODELS][0], begins = 1; i < GYROS; i++, begins = 0) {
+        real of_other;
+        const real found = by_commands(other, &of_other, heads, moments(arg[GYRO]) + BLOCK * BLOCK * i, &gyro, &g);
+        if (begins || found > most_of_gyro) {
+            models[0] = i, most_of_gyro = found, worth = of_other;
+            for (int k = 0; k < times * n_l; k++) of_gyro[k] = other[k];
+        }
+        if (!whole) break;
+    }
     logarithms(of_gyro, heads, worth, times * n_l);
     real most[SIDES], without[SIDES], all[SIDES], by_total[SIDES][SIDE], by_lag[SIDES][SIDE];
     int where[SIDES];
@@ -288,13 +297,12 @@ static void posterior(const number **arg, const number *centre, number **res, in
 
     /* velocities and attitudes, of age and of what rates are newer by */
     const real reading = PERIOD * sqrt(arg[LATERAL][0]);
-    int model = 0;
     real of_age[SIDE], of_newer[SIDE], p[SIDE][SIDE];
-    for (int i = whole ? 0 : (int)*arg[MODEL], begins = 1; i < VELOCITIES; i++, begins = 0) {
+    for (int i = whole ? 0 : (int)arg[MODELS][1], begins = 1; i < VELOCITIES; i++, begins = 0) {
         const real *M = moments(arg[VELOCITY]) + 4 * COLUMNS * COLUMNS * i;
         by_readings(
             other, M, &g, A, SPAN_FORCE, 2 * larger(arg[WEIGHTS][1], 1), BIAS_DEVIATION, reading, NOISES[i]);
-        if (likelier(of_age, other, n_a, begins)) model = i;
+        if (likelier(of_age, other, n_a, begins)) models[1] = i;
         if (!whole) break;
     }
     by_readings(
@@ -320,7 +328,7 @@ static void posterior(const number **arg, const number *centre, number **res, in
     const int at_total = where[old_of[r_best][a_best]], place[] = {a_best, at_total % n_D, at_total / n_D, r_best};
     for (int i = 0; i < 4; i++) res[MODE][i] = at(&g, i, place[i]);
     for (int i = 0; i < 3; i++) res[AT_END][i] = res[MODE][i] > LARGEST[i] - INSTANT;
-    *res[LIKELIEST] = (real)model;
+    res[CHOSEN][0] = (real)models[0], res[CHOSEN][1] = (real)models[1];
     res[ODDS][0] = best - ageless, res[ODDS][1] = best - prompt;
     *res[MOVED] = 0;
     if (whole) return;

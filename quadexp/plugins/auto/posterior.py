@@ -28,7 +28,7 @@ from quadexp.compile.memory import Memory
 from quadexp.compile.symbolic import ca
 from quadexp.control.control_step import Call, call, copy
 from quadexp.physics.expression import named_function
-from quadexp.plugins.auto.bank import AXES, Bank, first_order_gain
+from quadexp.plugins.auto.bank import AXES, GYROS, Bank, first_order_gain
 from quadexp.plugins.auto.responses import command_weights, reading_weights
 from quadexp.plugins.auto.settings import BANK, NEVER, QUANTILES
 from quadexp.plugins.remedies.sent_commands import INSTANT, NO_LAG
@@ -39,10 +39,10 @@ STEPS = np.array([BANK.age_step, BANK.total_step, BANK.lag_step, BANK.age_step])
 LARGEST = np.array([BANK.largest_age, BANK.largest_dead_time + BANK.largest_lag, BANK.largest_lag, BANK.largest_age])
 # Of age, total and lag (s): mean, deviation, 2.5 and 97.5 % quantiles; by how much rates are newer (s)
 FOUND = {"mean": 3, "deviation": 3, "lower": 3, "upper": 3, "newer": 1}
-# What a grid leaves: the mode (a, D, l, r); the likeliest noise model of velocities; log Bayes factors
+# What a grid leaves: the mode (a, D, l, r); the likeliest noise models of gyroscope and velocity; log Bayes factors
 # against no age and no total; whether the mode is the last that there is (a, D, l), and whether that of a finer grid is
 # on its edge
-LEFT = {"mode": 4, "model": 1, "odds": 2, "at_end": 3, "moved": 1}
+LEFT = {"mode": 4, "chosen": 2, "odds": 2, "at_end": 3, "moved": 1}
 
 
 class Search:
@@ -57,10 +57,10 @@ class Search:
         form = Kernel if backend == "compiled" else Posterior
         seen = {name: moments.reshape(-1, moments.shape[-1]) for name, moments in bank.moments.items()}
         seen |= {name: bank.part(name) for name in ("weights", "lateral")}
-        nowhere = {"centre": np.zeros(4), "noise_model": np.zeros(1), "rounds": np.zeros(1)}
+        nowhere = {"centre": np.zeros(4), "models": np.zeros(2), "rounds": np.zeros(1)}
         self.coarse = form(bank, 1, seen | nowhere)
         self.left = {name: self.coarse.results[name] for name in LEFT}
-        around = {"centre": self.left["mode"], "noise_model": self.left["model"], "rounds": flags["rounds"]}
+        around = {"centre": self.left["mode"], "models": self.left["chosen"], "rounds": flags["rounds"]}
         self.fine = form(bank, BANK.fine, seen | around)
         self.found = {name: self.fine.results[name] for name in ("mode", "moved", *FOUND)}
         found = {f"fine_{name}": values for name, values in self.found.items()}
@@ -79,9 +79,9 @@ class Posterior(BufferedFunction):
     """The posterior on a grid, on arrays: all hypotheses for fine = 1, or steps a `fine`-th as large within one step of
     `centre`, (a, D, l, r).
 
-    Arguments: moments of the bank, one noise model after another; of a finer grid noise_model, which of the velocities'
-    counts, and rounds: how many grids at most, each around the mode of the last while that is on its edge. Results:
-    LEFT, and of a finer grid FOUND.
+    Arguments: moments of the bank, one noise model after another; of a finer grid models: which noise models count, and
+    rounds: how many grids at most, each around the mode of the last while that is on its edge. Results: LEFT, and of a
+    finer grid FOUND.
     """
 
     def __init__(self, bank: Bank, fine: int, given: Mapping[str, np.ndarray]) -> None:
@@ -116,8 +116,8 @@ class Posterior(BufferedFunction):
         times = points(rates_old.min() + totals[0], rates_old.max() + totals[-1], steps[0])
         at_time = np.rint((rates_old + total - times[0]) / steps[0]).astype(int)
 
-        of_thrust = self._by_commands("thrust", totals, lags)
-        of_gyro = self._by_commands("gyro", times, lags)
+        _, of_thrust = self._by_commands("thrust", totals, lags)
+        gyro_model, of_gyro = self._by_commands("gyro", times, lags)
         velocity_model, of_age = self._by_readings("velocity", ages)
         _, of_newer = self._by_readings("attitude", newer)
         likelihood = of_thrust + of_gyro[np.arange(len(lags))[:, None], at_time] + of_age.reshape(age.shape)
@@ -138,7 +138,7 @@ class Posterior(BufferedFunction):
         spreads = np.array(list(map(_summary, shares, (ages, totals, lags), steps, beside)))
         return {
             "mode": mode,
-            "model": velocity_model,
+            "chosen": [gyro_model, velocity_model],
             "odds": [best - log[:, 0].max(), best - log[..., 0].max()],
             "at_end": mode[:3] > LARGEST[:3] - INSTANT,
             "moved": not whole and (np.abs(mode - centre) >= STEPS - INSTANT).any(),
@@ -146,8 +146,17 @@ class Posterior(BufferedFunction):
             "newer": spreads[0, 0] if rates_of(mode[0], mode[3]) == PROMPT else mode[3],
         }
 
-    def _by_commands(self, name: str, totals: np.ndarray, lags: np.ndarray) -> np.ndarray:
-        """Log likelihoods, (l, D), by the innovations of a filter that commands drive, whose scale has a prior."""
+    def _models(self, name: str, chosen: int) -> dict[int, np.ndarray]:
+        """Moments of the noise models that count, by number: all, or of a finer grid the `chosen` of "models"."""
+        moments = dict(enumerate(self.bank.moments[name]))
+        if self.fine == 1 or len(moments) == 1:
+            return moments
+        model = int(self.arguments["models"][chosen])
+        return {model: moments[model]}
+
+    def _by_commands(self, name: str, totals: np.ndarray, lags: np.ndarray) -> tuple[int, np.ndarray]:
+        """The likeliest noise model of a filter that commands drive, and log likelihoods, (l, D), by its innovations,
+        whose scale has a prior."""
         bank, n = self.bank, max(self.arguments["weights"][0], 1)
         longest, late, span, prior = BANK.largest_dead_time, 0.0, bank.spans[0], BANK.scale_deviation
         if name == "gyro":  # two axes; two readings differ by the mean in between
@@ -157,19 +166,21 @@ class Posterior(BufferedFunction):
         lag, total = np.meshgrid(lags, totals, indexing="ij")
         possible = (total - lag > -INSTANT) & (total - lag < longest + INSTANT)
         h = command_weights(bank.period, bank.layout.commands, total[possible] + late, lag[possible], span)
-        M = bank.moments[name][0]
-        cross = h @ M[0, 2:-1]
-        square = np.sum(h @ M[2:-1, 2:-1] * h, axis=1)
-        least = np.min(M[0, 0] - 2 * cross + square)
-        ridge = max(least, 0) / n / prior**2 + BANK.floor
-        scale = (cross + ridge) / (square + ridge)
-        sse = np.maximum(M[0, 0] - 2 * scale * cross + scale**2 * square, 0)
-        best = sse.argmin()
-        weights = scale[best] * h[best]
-        now, before = np.r_[1, 0, -weights, 0], np.r_[0, 1, 0, -weights]
-        log = np.full(total.shape, -NEVER)
-        log[possible] = _log_likelihood(sse, n, before @ M @ now, now @ M @ now)
-        return log
+        found = {}
+        for model, M in self._models(name, 0).items():
+            cross = h @ M[0, 2:-1]
+            square = np.sum(h @ M[2:-1, 2:-1] * h, axis=1)
+            least = np.min(M[0, 0] - 2 * cross + square)
+            ridge = max(least, 0) / n / prior**2 + BANK.floor
+            scale = (cross + ridge) / (square + ridge)
+            sse = np.maximum(M[0, 0] - 2 * scale * cross + scale**2 * square, 0)
+            best = sse.argmin()
+            weights = scale[best] * h[best]
+            now, before = np.r_[1, 0, -weights, 0], np.r_[0, 1, 0, -weights]
+            log = np.full(total.shape, -NEVER)
+            log[possible] = _log_likelihood(sse, n, before @ M @ now, now @ M @ now)
+            found[model] = log
+        return _likeliest(found)
 
     def _by_readings(self, name: str, ages: np.ndarray) -> tuple[int, np.ndarray]:
         """The likeliest noise model of a filter that integrates readings, and log likelihoods, (a,), by its
@@ -187,9 +198,7 @@ class Posterior(BufferedFunction):
         of_readings = reading_weights(bank.period, known - 1, ages - span / 2)
         h = np.insert(-of_readings, 0, 1, axis=1)
         found = {}
-        for model, M in enumerate(bank.moments[name]):
-            if self.fine > 1 and name == "velocity" and model != self.arguments["noise_model"][0]:
-                continue
+        for model, M in self._models(name, 1).items():
             square, products = M[:columns, :columns], M[:columns, columns:]
             sse = np.sum(h @ square[:known, :known] * h, axis=1)
             cross = h @ square[:known, known:]
@@ -206,8 +215,7 @@ class Posterior(BufferedFunction):
             best = sse.argmin()
             whole = np.r_[h[best], -estimate[best]]
             found[model] = _log_likelihood(sse, n, whole @ products @ whole, whole @ square @ whole)
-        which = max(found, key=lambda model: found[model].max())
-        return which, found[which]
+        return _likeliest(found)
 
 
 class Kernel(Posterior):
@@ -237,6 +245,7 @@ def kernel_source(bank: Bank) -> str:
     counts = {
         "COMMANDS": bank.layout.commands,
         "READINGS": bank.layout.readings,
+        "GYROS": GYROS,
         "VELOCITIES": len(BANK.velocity_models),
         "FINE": BANK.fine,
         "SIDE": side,
@@ -263,6 +272,12 @@ def rates_of(age: Any, newer: Any) -> Any:
     """LATE, PROMPT or BETWEEN, by how much rates are newer (s)."""
     between = np.where(np.abs(age - newer) < INSTANT, PROMPT, BETWEEN)
     return np.where(newer < INSTANT, LATE, between)
+
+
+def _likeliest(found: dict[int, np.ndarray]) -> tuple[int, np.ndarray]:
+    """Of the log likelihoods by several noise models the model that has the largest, and its."""
+    which = max(found, key=lambda model: found[model].max())
+    return which, found[which]
 
 
 def _log_likelihood(sse: np.ndarray, n: float, product: float, square: float) -> np.ndarray:

@@ -7,7 +7,6 @@ without it over that with it.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 
@@ -24,7 +23,9 @@ class BankSettings:
     lag_step: float = 0.008  # s: dead time and lag are hard to tell apart
     fine: int = 5  # into how many the finer grid divides a step
     passes: int = 4  # of the finer grid at most, which moves while its mode is on its edge
-    torque_walk: float = 0.3  # rad/s^2/sqrt(s), of a disturbing torque
+    gyro_models: tuple[tuple[float, float], ...] = ((5e-3, 0.3), (5e-2, 0.3))
+    # of a reading (rad/s) and of a walk of the torque (rad/s^2/sqrt(s)): good and poor gyroscopes; with one, a sum of
+    # age and delay was 1 ms off under a poor one, or late where its data sheet was wrong; three: 1.00
     rate_walk: float = 0.05  # rad/s/sqrt(s), white torques as of turbulence: 1.08 without
     velocity_models: tuple[float, ...] = (1e-4, 3e-3, 3e-2)  # m/s, of a given velocity: exact, filtered, raw; two: 1.08
     thrust_noise: float = 0.28  # m/s^2, of the model along the thrust: 3 % of gravity
@@ -118,12 +119,11 @@ class SpeedSettings:
 
 @dataclass(frozen=True)
 class Grid:
-    """A horizon of the MPC, and up to which timing uncertainty it flies."""
+    """A horizon of the MPC."""
 
     first_node: float  # s
     horizon: float  # s
     position_weight: float
-    timing: float  # s
     inputs: float = 1.0  # times the controller's weight of the commands
 
 
@@ -148,29 +148,25 @@ class DecisionSettings:
     least_lag: float = 0.003  # s, below which a lag is not inverted: it would amplify noise
     next_period: float = 0.25  # of a period, by which rotor speeds of the one before are later at least: motors lag
     large_noise: float = 0.002  # m, of the estimated position, which a stiff controller would amplify
-    # s, largest sum of age, total and control period under any but the controller's own: behind 40 + 60 ms at 50 Hz the
-    # softest of grids grows by 1.5/s at hover, behind 66 + 33 ms at 21 Hz a vehicle was lost
-    soft_sum: float = 0.11
+    # s, largest sum of age, total and control period under any but the controller's own: a hover at 21 Hz behind 66 + 33
+    # ms was lost
+    soft_sum: float = 0.14
     stiff_total: float = 0.015  # s, largest total under the stiffest grid
+    stiff_timing: float = 0.004  # s, largest timing uncertainty under it
     at_limit: float = 0.999  # share of the range of a thrust from which on it is at its limit
-    saturated: float = 0.2  # share of recent commands at a limit, from which on the grid is a middle one
+    saturated: float = 0.2  # share of recent commands at a limit, from which on the stiffest grid does not fly
     saturation_memory: float = 0.3  # s
-    saturates: float = 0.03  # share of commands at a limit over corners_memory from which on the stiffest does not fly
+    saturates: float = 0.03  # likewise of those over corners_memory
     corners_memory: float = 10.0  # s: a path that saturates rotors does so again
-    middle: int = 2  # of grids
     largest_lead: float = 2.0  # gain of an inverted lag on a change of thrust; the rest of the lag is predicted: 1.12
     most_inverted: float = 0.03  # s, of a lag: what that gain is at 50 Hz; slower, commands went from limit to limit
     largest_wait: float = 0.1  # s, over which an MPC predicts
     samples: int = 4  # of the reference in a control period, so that an MPC may ask for later ones
-    # Beside the controller's own, which is the softest: 1.64 with that alone. Margins of a nominal MPC at 50 Hz in
-    # hover: 67 ms with its own, then 40, 35, 29, 13 ms
+    # Beside the controller's own, the softest: 1.64 with that alone; 1.02 with two more, and 1.4 times the change of a
+    # command
     grids: tuple[Grid, ...] = (
-        # The second one flies under noise: hover in `everything` had 0.42 of its samples at a limit, 0.14 by 10 times
-        # the weight of commands, at 1.04 of the error; on stiffer ones it costs a fifth with exact sensors.
-        Grid(0.06, 0.8, 40.0, math.inf),
-        Grid(0.06, 0.8, 100.0, 0.008, 10.0),
-        Grid(0.04, 0.8, 50.0, 0.005),
-        Grid(0.02, 0.8, 200.0, 0.0025),  # a horizon of 0.6 s is too short for corners
+        Grid(0.06, 0.8, 100.0, 5.0),  # a first node of 0.05 s is lost at 26 Hz behind 100 ms; weight of commands: noise
+        Grid(0.02, 0.8, 200.0),  # a horizon of 0.6 s is too short for corners
     )
 
 

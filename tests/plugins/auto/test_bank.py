@@ -160,9 +160,9 @@ def test_the_moments_are_those_of_a_kalman_filter_of_each_hypothesis(vehicle):
     age, dead_time, lag = 0.013, 0.007, 0.021
     mean = sent.weights(np.array([[-PERIOD, 0.0]]), dead_time + age, lag)[0]
     now = sent.weights(np.zeros((1, 2)), dead_time, lag)[0]
-    spin, gains, turning = spin_of(vehicle), stationary_gain(BANK.least_turn, PERIOD), np.zeros((2, 2))
+    spin, filters = spin_of(vehicle), [np.zeros((2, 2)) for _ in BANK.gyro_models]
     inertia, before, push = vehicle.inertia_matrix, np.zeros(3), command.sum() / vehicle.mass
-    squares, thrust_squares, level = 0.0, 0.0, push
+    squares, thrust_squares, level = np.zeros(len(filters)), 0.0, push
     gain, fading = first_order_gain(BANK.thrust_walk * np.sqrt(PERIOD) / BANK.thrust_noise), PERIOD / BANK.forgetting
     for k in range(60):
         told.state[:], told.accelerometer_valid[0] = x, k > 0
@@ -170,10 +170,12 @@ def test_the_moments_are_those_of_a_kalman_filter_of_each_hypothesis(vehicle):
         told.specific_force[:] = rng.normal(size=3) + [0, 0, 9.81]
         counted, middle = k >= BANK.settling / PERIOD, (w + before) / 2
         drive = spin @ (mean @ sent.values) - (np.linalg.inv(inertia) @ np.cross(middle, inertia @ middle))[:2]
-        predicted = turning[0] + PERIOD * (turning[1] + drive)
-        nu = w[:2] - predicted
-        turning = np.stack([predicted + gains[0] * nu, turning[1] + gains[1] * nu])
-        squares = np.exp(-fading) * squares + counted * nu @ nu
+        for i, (noise, walk) in enumerate(BANK.gyro_models):
+            gains, state = stationary_gain(noise, walk, PERIOD), filters[i]
+            predicted = state[0] + PERIOD * (state[1] + drive)
+            nu = w[:2] - predicted
+            filters[i] = np.stack([predicted + gains[0] * nu, state[1] + gains[1] * nu])
+            squares[i] = np.exp(-fading) * squares[i] + counted * nu @ nu
         nu = told.accelerometer_valid[0] * (
             told.specific_force[2] - (now @ sent.values).sum() / vehicle.mass - (push - level)
         )
@@ -186,7 +188,7 @@ def test_the_moments_are_those_of_a_kalman_filter_of_each_hypothesis(vehicle):
         sent.memory.commit()
     m, total = bank.layout.commands, dead_time + age + lag
     h = weights_of(m, total, lag, PERIOD)
-    assert squares_of(bank.moments["gyro"][0], h) == pytest.approx(squares, rel=1e-6)
+    assert [squares_of(M, h) for M in bank.moments["gyro"]] == pytest.approx(squares, rel=1e-6)
     h = weights_of(m, total - age, lag, 0.0)
     assert squares_of(bank.moments["thrust"][0], h) == pytest.approx(thrust_squares, rel=1e-4)
 
