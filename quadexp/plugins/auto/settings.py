@@ -23,8 +23,8 @@ class BankSettings:
     lag_step: float = 0.008  # s: dead time and lag are hard to tell apart
     fine: int = 5  # into how many the finer grid divides a step
     passes: int = 4  # of the finer grid at most, which moves while its mode is on its edge
-    gyro_models: tuple[tuple[float, float], ...] = ((5e-3, 0.3), (5e-2, 0.3))
-    # of a reading (rad/s) and of a walk of the torque (rad/s^2/sqrt(s)): good and poor gyroscopes; with one, a sum of
+    gyro_models: tuple[tuple[float, float], ...] = ((3e-4, 0.3), (5e-2, 0.3))
+    # of a reading (rad/s) and of a walk of the torque (rad/s^2/sqrt(s)): exact and poor gyroscopes; with one, a sum of
     # age and delay was 1 ms off under a poor one, or late where its data sheet was wrong; three: 1.00
     rate_walk: float = 0.05  # rad/s/sqrt(s), white torques as of turbulence: 1.08 without
     velocity_models: tuple[float, ...] = (1e-4, 3e-3, 3e-2)  # m/s, of a given velocity: exact, filtered, raw; two: 1.08
@@ -148,8 +148,8 @@ class DecisionSettings:
     least_lag: float = 0.003  # s, below which a lag is not inverted: it would amplify noise
     next_period: float = 0.25  # of a period, by which rotor speeds of the one before are later at least: motors lag
     large_noise: float = 0.002  # m, of the estimated position, which a stiff controller would amplify
-    # s, largest sum of age, total and control period under any but the controller's own: a hover at 21 Hz behind 66 + 33
-    # ms was lost
+    # s, largest sum of age, total and control period under any but the controller's own: a hover at 21 Hz behind 66 and
+    # 33 ms was lost
     soft_sum: float = 0.14
     stiff_total: float = 0.015  # s, largest total under the stiffest grid
     stiff_timing: float = 0.004  # s, largest timing uncertainty under it
@@ -165,7 +165,8 @@ class DecisionSettings:
     # Beside the controller's own, the softest: 1.64 with that alone; 1.02 with two more, and 1.4 times the change of a
     # command
     grids: tuple[Grid, ...] = (
-        Grid(0.06, 0.8, 100.0, 5.0),  # a first node of 0.05 s is lost at 26 Hz behind 100 ms; weight of commands: noise
+        # A first node of 0.05 s is lost at 26 Hz behind 100 ms; the weight of commands: 0.42 of a noisy hover at a limit
+        Grid(0.06, 0.8, 100.0, 5.0),
         Grid(0.02, 0.8, 200.0),  # a horizon of 0.6 s is too short for corners
     )
 
