@@ -165,7 +165,7 @@ class DecisionSettings:
     # Beside the controller's own, the softest: 1.64 with that alone; 1.02 with two more, and 1.4 times the change of a
     # command
     grids: tuple[Grid, ...] = (
-        # A first node of 0.05 s is lost at 26 Hz behind 100 ms; the weight of commands: 0.42 of a noisy hover at a limit
+        # a first node of 0.05 s is lost at 26 Hz behind 100 ms; without the weight 0.42 of a noisy hover is at a limit
         Grid(0.06, 0.8, 100.0, 5.0),
         Grid(0.02, 0.8, 200.0),  # a horizon of 0.6 s is too short for corners
     )
