@@ -61,6 +61,9 @@ def test_commands_that_change_far_more_with_auto_are_named():
         return [*({**one, "variant": "remedies=none"} for one in alone), *auto]
 
     assert notes(pairs(1.9)) == []
+    swept = [one | {"controller": "geometric" + "+auto" * (one["variant"][-4:] == "auto")} for one in pairs(3.4)]
+    (line,) = notes([one | {"variant": ""} for one in swept])  # as a sweep over remedies names them
+    assert line.startswith("geometric+auto: commands change 3.4 times as much as of geometric,")
     (line,) = notes(pairs(3.4))
     assert line.startswith("geometric remedies=auto: commands change 3.4 times as much as of geometric remedies=none")
     assert line.endswith("in the median of 3 pairs")

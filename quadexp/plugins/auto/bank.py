@@ -69,6 +69,7 @@ class Layout:
             "weights": 3,
             "x": N_STATE,
             "missed": 1,
+            "since_gap": 1,
             "forces": AXES * self.readings,
             "rates": AXES * self.readings,
             "filters": 4 * CHANNELS,
@@ -137,6 +138,7 @@ class Bank:
         velocity[:, 0] = np.tile(x[VELOCITY], VELOCITIES)
         return {
             "x": x,
+            "since_gap": np.full(1, readings + 1.0),
             "lateral": np.full(1, self.stated**2),
             "filters": filters,
             "velocity": velocity,
@@ -194,6 +196,9 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     w, R, sent = x[RATE], rotation_matrix(x[ATTITUDE]), a[f"{NOW}sent"] / every
     air = ca.densify(residual.function(body_features(x, sent), a["theta"])[0])
     counts, time = count > BANK.settling / period, count * period
+    missed = (1 - read) * (kept["missed"] + 1)
+    since_gap = (missed <= BANK.gap) * (kept["since_gap"] + 1)
+    shown = counts * read * (since_gap > readings)  # whole readings alone are compared with velocities
 
     # gyroscope and thrust, a filter a row: y by the readings, phi by the newest command
     inertia, middle = ca.DM(vehicle.inertia_matrix), (w + last[RATE]) / 2
@@ -259,10 +264,11 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     now = {
         "count": count,
         "x": x,
-        "missed": (1 - read) * (kept["missed"] + 1),
+        "missed": missed,
+        "since_gap": since_gap,
         "forces": ca.vec(forces),
         "rates": ca.vec(rates),
-        "weights": math.exp(-period / BANK.forgetting) * kept["weights"] + ca.vertcat(counts, counts * read, flown),
+        "weights": math.exp(-period / BANK.forgetting) * kept["weights"] + ca.vertcat(counts, shown, flown),
         "filters": ca.vec(ca.horzcat(value, bias)),
         "regressors": ca.vec(z),
         "velocity": ca.vec(velocity),
@@ -277,7 +283,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     results = {
         "gyro_z": counts * ca.vec(z[:, :-1]),
         "thrust_z": counts * z[:, -1],
-        "velocity_z": counts * read * ca.vec(velocity_z),
+        "velocity_z": shown * ca.vec(velocity_z),
         "attitude_z": flown * ca.vec(ca.vertcat(attitude, before)),
     } | {NEXT + name: value for name, value in now.items()}
     return named_function("bank", a, {name: ca.densify(value) for name, value in results.items()})

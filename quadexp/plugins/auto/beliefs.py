@@ -218,7 +218,7 @@ def beliefs_table(flight: Flight) -> Table:
         said = "" if np.isnan(true) else "in the band" if belief.covers[-1] else "outside"
         verdict = said if belief.identifiable else "not identifiable on this path"
         band = "" if np.isnan(low) else f"at least {low:.3g}" if np.isinf(high) else f"{low:.3g} .. {high:.3g}"
-        value = 0.0 if abs(value) < REPORT.rounded * (high - low) else value
+        value = 0.0 if abs(value) < REPORT.rounded * (high - low) < math.inf else value
         rows.append((belief.name, belief.unit, _text(value), band, _text(true), verdict))
     return Table(("assumed at the end", "unit", "value", "95 % band", "true", ""), rows, left=frozenset({0, 1, 5}))
 

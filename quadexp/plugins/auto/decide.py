@@ -39,13 +39,13 @@ KEPT = {
     "wait": 1,
     "saturates": 1,
     "next": 1,
-    "crossed": 2,
+    "crossed": 3,
     "known": 1,
     "searches": 1,
     "rounds": 1,
     "found": OF_SEARCH,
     "odds": 2,
-    "at_end": 3,
+    "at_end": 4,
     "decision": 6,
     "unsure": 1,
     "late": 1,
@@ -76,7 +76,8 @@ NOTHING = Decision(0.0, 0.0, 0.0, 0.0, 0.0, DISTURBANCE.unknown_timing)  # befor
 
 class Statistics(NamedTuple):
     """What is measured beside the delays. busy: whether noise or saturated rotors speak against the stiffest grid.
-    acts: whether a disturbance is assumed. enough: whether there are enough readings for any but the softest grid."""
+    acts: whether a disturbance is assumed. enough: whether there are enough readings, of little enough noise, for any
+    but the softest grid."""
 
     busy: Expression = 0.0
     acts: Expression = 0.0
@@ -86,7 +87,7 @@ class Statistics(NamedTuple):
 def decided(
     known: Expression, found: Mapping[str, Expression], last: Decision, statistics: Statistics, period: float
 ) -> Decision:
-    """What to act on from now on. found: mean and deviation, (3,), newer, odds, (2,), at_end, (3,), of a posterior;
+    """What to act on from now on. found: mean and deviation, (3,), newer, odds, (2,), at_end, (4,), of a posterior;
     known: whether there is one. period: of control (s)."""
     s = DECISION
     age, total, lag = ca.vertsplit(found["mean"])
@@ -102,7 +103,8 @@ def decided(
     late = ca.fmax(found["deviation"][0], ca.fabs(found["mean"][0] - age) / 2)  # also an age that does not act yet
     timing = found["deviation"][1] + ca.fabs(total - acted) + late / 2
     stiff = (timing + s.inexact * (age + acted) < s.stiff_timing) * (acted < s.stiff_total) * (1 - statistics.busy)
-    soft = ca.logic_or(ca.mmax(found["at_end"][:2]) > 0, age + acted + period >= s.soft_sum)
+    beyond = ca.mmax(found["at_end"][[0, 1, 3]]) > 0
+    soft = ca.logic_or(beyond, age + acted + period >= s.soft_sum)
     grid = ca.if_else(soft, 0, ca.fmin(1 + stiff, last.grid + 1))
     # without evidence the softest grid would let the error stand for a second
     grid = ca.if_else(known, grid, ca.fmax(last.grid, statistics.acts))
@@ -139,7 +141,7 @@ def known(age: float, dead_time: float, lag: float, period: float) -> Decision:
 def start_of(begin: Decision) -> dict[str, Any]:
     """What is remembered of decisions as a flight begins, but for zeros."""
     beliefs = [*[0.0] * 3, *[np.nan] * 6, *[0.0] * 5]
-    start = {"next": DECISION.begins, "crossed": np.full(2, UNKNOWN), "decision": np.array(begin), "beliefs": beliefs}
+    start = {"next": DECISION.begins, "crossed": np.full(3, UNKNOWN), "decision": np.array(begin), "beliefs": beliefs}
     return start | {"late": DISTURBANCE.unknown_timing}
 
 
@@ -152,7 +154,7 @@ def decision_function(
     the coarse grid; moved and FOUND of the finer one. apart: by which age and delays cannot be distinguished
     (s). unsaid: whether nobody says how old rates are beside the pose.
     """
-    s, searched = DECISION, {"odds": 2, "at_end": 3, "moved": 1} | FOUND
+    s, searched = DECISION, {"odds": 2, "at_end": 4, "moved": 1} | FOUND
     shapes = {"count": 1, "weights": 3, "noise": 3, "commands": commands, "acts": 3, **searched}
     a = named_symbols(ca.SX, shapes | {NOW + name: size for name, size in KEPT.items()})
     kept = {name: a[NOW + name] for name in KEPT}
@@ -167,11 +169,11 @@ def decision_function(
     share = looks * ca.if_else(soon, s.soonest, s.checks) / s.corners_memory
     saturates = kept["saturates"] + share * (saturated - kept["saturates"])
     position = ca.sqrt(ca.fmax(a["noise"][1], 0)) * (elapsed > BANK.measured_after + rounding)
-    enough = a["count"] >= s.few_readings
+    enough = (a["count"] >= s.few_readings) * (position < s.soft_noise)
     acts_now = enough * (ca.mmax(a["acts"]) > 0)
     busy = (position > s.large_noise, saturated > s.saturated, saturates > s.saturates)
     statistics = Statistics(ca.mmax(ca.vertcat(*busy)), acts_now, enough)
-    crossed = ca.vertcat(statistics.busy, statistics.acts)
+    crossed = ca.vertcat(statistics.busy, statistics.acts, enough)
     often, seldom = (max(1, round(each / period)) for each in (s.soonest, s.checks))
 
     # the search goes on, or ends
@@ -201,7 +203,9 @@ def decision_function(
     late = ca.fabs(age - acts.age)  # age that does not act
     beside = INTERVAL.band * ca.hypot(INTERVAL.inexact * of["mean"], unsure)
     lower, upper = intervals(of, beside)
-    beliefs = ca.vertcat(of["mean"], lower, ca.if_else(at_end, math.inf, upper), of["newer"])
+    beyond = ca.mmax(at_end) > 0  # then any of them may be larger, and what is not at its end is not known
+    lower *= ca.logic_or(1 - beyond, at_end[:3])
+    beliefs = ca.vertcat(of["mean"], lower, ca.if_else(beyond, math.inf, upper), of["newer"])
     beliefs = ca.if_else(done, beliefs, kept["beliefs"][:BELIEFS])
     left = {
         "searching": now,

@@ -216,7 +216,8 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
         shrink = ca.sqrt(ca.fmin(1, ca.sumsqr(initial[WIND]) / ca.fmax(ca.trace(P[WIND, WIND]), TINY)))
         by = ca.diag(ca.vertcat(shrink, shrink, shrink, ca.DM.ones(N_ESTIMATE - 3)))
         most = SPEEDS.most_force if known.by_speeds else s.most_force
-        force = estimate[FORCE] * ca.fmin(1, most / ca.fmax(ca.norm_2(estimate[FORCE]), TINY))
+        force = ca.if_else(read, 1, math.exp(-period / s.unseen)) * estimate[FORCE]
+        force *= ca.fmin(1, most / ca.fmax(ca.norm_2(force), TINY))
         scales = (limited(estimate[SCALE], *s.scale_limits), limited(estimate[AIR], *SPEEDS.air_limits))
         estimates.append(ca.vertcat(estimate[WIND], scales[0], force, scales[1]))
         covariances.append(ca.mtimes([by, P, by]))

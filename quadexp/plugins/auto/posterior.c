@@ -161,7 +161,7 @@ static void by_readings(
             for (int j = 1; i && j <= MEANS; j++)
                 added[k] += means[i] * means[j] * (i == j ? 1 : i - j == 2 || j - i == 2 ? kept * kept : kept);
         }
-        added[k] = white * added[k] + 2 * noise * noise / (1 + kept);
+        added[k] *= white;
         least = smaller(least, sse[k]);
     }
     const real *S = M + (2 * COLUMNS + 1) * (1 + READINGS), ridge = larger(least, 0) / numbers / (prior * prior) + FLOOR;
@@ -182,7 +182,14 @@ static void by_readings(
             for (int j = 0; j < BIAS; j++) estimate[k][i] += inverse[i][j] * cross[k][j] / determinant;
             sse[k] -= cross[k][i] * estimate[k][i];
         }
-        sse[k] = larger(sse[k], 0) * added[0] / added[k];
+        sse[k] = larger(sse[k], 0);
+        if (sse[k] < lowest) lowest = sse[k], best = k;
+    }
+    const real rest = larger(lowest / numbers - added[best], 0) + FLOOR, first = added[0] + rest;
+    lowest = NEVER;
+    for (int k = 0; k < g->size[of]; k++) {
+        if (!inside(g, of, k)) continue;
+        sse[k] *= first / (added[k] + rest);
         if (sse[k] < lowest) lowest = sse[k], best = k;
     }
     real h[COLUMNS] = {0}, square = 0, product = 0;
@@ -328,6 +335,7 @@ static void posterior(const number **arg, const number *centre, number **res, in
     const int at_total = where[old_of[r_best][a_best]], place[] = {a_best, at_total % n_D, at_total / n_D, r_best};
     for (int i = 0; i < 4; i++) res[MODE][i] = at(&g, i, place[i]);
     for (int i = 0; i < 3; i++) res[AT_END][i] = res[MODE][i] > LARGEST[i] - INSTANT;
+    res[AT_END][3] = res[MODE][D] - res[MODE][L] > LARGEST_DEAD_TIME - INSTANT;
     res[CHOSEN][0] = (real)models[0], res[CHOSEN][1] = (real)models[1];
     res[ODDS][0] = best - ageless, res[ODDS][1] = best - prompt;
     *res[MOVED] = 0;

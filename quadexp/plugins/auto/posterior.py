@@ -39,10 +39,11 @@ STEPS = np.array([BANK.age_step, BANK.total_step, BANK.lag_step, BANK.age_step])
 LARGEST = np.array([BANK.largest_age, BANK.largest_dead_time + BANK.largest_lag, BANK.largest_lag, BANK.largest_age])
 # Of age, total and lag (s): mean, deviation, 2.5 and 97.5 % quantiles; by how much rates are newer (s)
 FOUND = {"mean": 3, "deviation": 3, "lower": 3, "upper": 3, "newer": 1}
+ENDS = np.append(LARGEST[:3], BANK.largest_dead_time)  # of a, D, l and dead time (s)
 # What a grid leaves: the mode (a, D, l, r); the likeliest noise models of gyroscope and velocity; log Bayes factors
-# against no age and no total; whether the mode is the last that there is (a, D, l), and whether that of a finer grid is
-# on its edge
-LEFT = {"mode": 4, "chosen": 2, "odds": 2, "at_end": 3, "moved": 1}
+# against no age and no total; whether the mode is the last that there is (a, D, l, dead time), and whether that of a
+# finer grid is on its edge
+LEFT = {"mode": 4, "chosen": 2, "odds": 2, "at_end": 4, "moved": 1}
 
 
 class Search:
@@ -140,7 +141,7 @@ class Posterior(BufferedFunction):
             "mode": mode,
             "chosen": [gyro_model, velocity_model],
             "odds": [best - log[:, 0].max(), best - log[..., 0].max()],
-            "at_end": mode[:3] > LARGEST[:3] - INSTANT,
+            "at_end": np.append(mode[:3], mode[1] - mode[2]) > ENDS - INSTANT,
             "moved": not whole and (np.abs(mode - centre) >= STEPS - INSTANT).any(),
             **dict(zip(("mean", "deviation", "lower", "upper"), spreads.T, strict=True)),
             "newer": spreads[0, 0] if rates_of(mode[0], mode[3]) == PROMPT else mode[3],
@@ -205,12 +206,13 @@ class Posterior(BufferedFunction):
             ridge = max(sse.min(), 0) / n / prior**2 + BANK.floor
             estimate = cross @ np.linalg.inv(square[known:, known:] + ridge * np.eye(AXES))
             sse = np.maximum(sse - np.sum(cross * estimate, axis=1), 0)
-            # what white noise of readings adds to an innovation of a filter that keeps 1 - gain of its error
-            kept, noise = 1 - first_order_gain(reading / noises[model]), noises[model]
+            # what white noise of readings adds to an innovation of a filter that keeps 1 - gain of its error; all else
+            # in the least of them is noise of the state that readings are compared with
+            kept = 1 - first_order_gain(reading / noises[model])
             places = np.arange(known - 1)
             correlated = of_readings @ kept ** np.abs(places[:, None] - places)
             of_reading = reading**2 * np.sum(correlated * of_readings, axis=1) / (1 - kept**2)
-            added = of_reading + 2 * noise**2 / (1 + kept)
+            added = of_reading + max(sse.min() / n - of_reading[sse.argmin()], 0) + BANK.floor
             sse = sse * added[0] / added
             best = sse.argmin()
             whole = np.r_[h[best], -estimate[best]]

@@ -9,6 +9,7 @@ from quadexp.report.notes import Row, known_values
 from quadexp.report.pairing import Contestant, condition_of, setting_pairs
 from quadexp.report.text import count
 
+SUFFIX = "+auto"  # of the name of a controller with it around
 RESTLESS = 2.0  # times as much as without, from which on it is said
 
 
@@ -34,8 +35,10 @@ def _with_auto(contestants: Iterable[Contestant]) -> Iterator[tuple[Contestant, 
     others = {}
     for who in contestants:
         settings = dict(setting_pairs(who.settings))
-        remedies = settings.pop("remedies", "none")
-        others[who.controller, who.model, remedies, frozenset(settings.items())] = who
+        asked = settings.pop("remedies", "none")
+        controller = who.controller.removesuffix(SUFFIX)
+        remedies = asked if controller == who.controller else "auto"
+        others[controller, who.model, remedies, frozenset(settings.items())] = who
     for (controller, model, remedies, beside), who in others.items():
         without = others.get((controller, model, "none", beside))
         if remedies == "auto" and without is not None:

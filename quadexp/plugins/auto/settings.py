@@ -43,6 +43,7 @@ class BankSettings:
     inertia_deviation: float = 0.2  # prior of the torque scale: an inertia is estimated
     bias_deviation: float = 0.2  # m/s^2, prior of the accelerometer's bias
     rate_bias_deviation: float = 0.02  # rad/s, prior of the gyroscope's bias
+    gap: float = 2.0  # missing readings in a row, from which on the line between their neighbours tells nothing
     least_information: float = 0.02  # of an innovation: models are never exact
     most_information: float = 0.5  # of one, likewise (Bayley & Hammersley 1946 for what lies in between)
     # Log Bayes factors against rates with the pose, of now, and in between, where one more number is fitted
@@ -77,6 +78,7 @@ class DisturbanceSettings:
     wind_initial: tuple[float, ...] = (4.0, 4.0, 1.0)  # m/s: over ground a mean wind is level; never beyond it later
     scale_walk: float = 0.005  # 1/sqrt(s), of a battery; more, and a drag that turns with the path is taken for a scale
     scale_initial: float = 0.05  # of a vehicle that is weighed
+    unseen: float = 1.0  # s, time constant of a force that no reading shows: it may have been of the heading then
     surprise: float = 4.0  # deviations of an innovation, from which on it is less and less learned as a scale
     scale_limits: tuple[float, ...] = (-0.5, 1.0)  # of the scale's distance from 1
     force_walk: float = 3.0  # m/s^2/sqrt(s), of a drag that turns with the path
@@ -148,6 +150,7 @@ class DecisionSettings:
     least_lag: float = 0.003  # s, below which a lag is not inverted: it would amplify noise
     next_period: float = 0.25  # of a period, by which rotor speeds of the one before are later at least: motors lag
     large_noise: float = 0.002  # m, of the estimated position, which a stiff controller would amplify
+    soft_noise: float = 0.012  # m, likewise, which any but the controller's own horizon would: 1.5 at 30 mm
     # s, largest sum of age, total and control period under any but the controller's own: a hover at 21 Hz behind 66 and
     # 33 ms was lost
     soft_sum: float = 0.14
@@ -166,7 +169,7 @@ class DecisionSettings:
     # command
     grids: tuple[Grid, ...] = (
         # a first node of 0.05 s is lost at 26 Hz behind 100 ms; without the weight 0.42 of a noisy hover is at a limit
-        Grid(0.06, 0.8, 100.0, 5.0),
+        Grid(0.06, 0.8, 60.0, 3.0),
         Grid(0.02, 0.8, 200.0),  # a horizon of 0.6 s is too short for corners
     )
 

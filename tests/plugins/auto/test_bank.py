@@ -51,7 +51,7 @@ def posterior(bank, backend="interpreted", rounds=1):
         if not search.found["moved"]:
             break
     mean, deviation, lower, upper, newer = (search.found[name].copy() for name in FOUND)
-    upper[at_end] = np.inf
+    upper[at_end[:3]] = np.inf
     return Posterior(mean, deviation, lower, upper, newer.item(), age_odds, total_odds, bool(at_end[:2].any()))
 
 

@@ -16,7 +16,7 @@ GRIDS, NO_SENSES = DECISION.grids, Statistics()
 
 def found(age=0.0, total=0.0, lag=0.0, *, sd=0.0005, age_odds=0.0, total_odds=0.0, at_end=False):
     given = {"mean": [age, total, lag], "deviation": [sd] * 3, "newer": 0.0, "odds": [age_odds, total_odds]}
-    return {name: ca.DM(value) for name, value in given.items()} | {"at_end": ca.DM([at_end, False, False])}
+    return {name: ca.DM(value) for name, value in given.items()} | {"at_end": ca.DM([at_end, False, False, False])}
 
 
 def decide(of, last=NOTHING, statistics=NO_SENSES):

@@ -78,11 +78,14 @@ def test_a_push_after_long_is_found_as_soon_as_an_early_one(vehicle):
 
 
 def test_a_missing_reading_is_a_prediction_without_an_update(vehicle):
+    """In which a force fades: held, it was of the heading that was flown last, and an accelerometer that ended at 8 s
+    made geometric 2.2 times worse than without."""
     watched = Watched(vehicle)
     for _ in range(50):
         before = watched.step(np.array([1.0, 0.0, 0.0]))
-    for _ in range(25):
-        assert watched.step(np.array([9.0, 9.0, 9.0]), read=False) == pytest.approx(before)
+    for i in range(1, 26):
+        faded = before * np.exp(-i * PERIOD / DISTURBANCE.unseen)
+        assert watched.step(np.array([9.0, 9.0, 9.0]), read=False) == pytest.approx(faded)
     spread = watched.filter.deviations[DEVIATIONS.index("force_x_sd")]
     watched.step(np.array([1.0, 0.0, 0.0]))
     assert watched.filter.deviations[DEVIATIONS.index("force_x_sd")] < spread  # which grew meanwhile
