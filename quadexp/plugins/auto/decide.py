@@ -2,8 +2,8 @@
 
 age               posterior mean, where the Bayes factor against none is very strong
 dead time, lag    posterior mean, where it is positive
-stiffness         the stiffest grid where the timing uncertainty  sigma = sd(D) + |D - acted| + max(sd(a), |a - acted|
-                  / 2) / 2  and the total are short, the estimated position has no noise and no rotor saturates; one
+stiffness         by the timing uncertainty  sigma = sd(D) + |D - acted| + max(sd(a), |a - acted| / 2) / 2;  the stiffest
+                  grid where also the total is short, the estimated position has no noise and no rotor saturates; one
                   grid at a time towards it. The softest, the controller's own, where age or total may be any larger
                   one than those that are looked for, where they and the period are long, and as long as there are few
                   readings.
@@ -102,10 +102,11 @@ def decided(
     age, acted, lag, newer = ca.vertsplit(ca.if_else(small, before, wanted))
     late = ca.fmax(found["deviation"][0], ca.fabs(found["mean"][0] - age) / 2)  # also an age that does not act yet
     timing = found["deviation"][1] + ca.fabs(total - acted) + late / 2
-    stiff = (timing + s.inexact * (age + acted) < s.stiff_timing) * (acted < s.stiff_total) * (1 - statistics.busy)
+    uncertain = timing + s.inexact * (age + acted)
+    stiff = (uncertain < s.stiff_timing) * (acted < s.stiff_total) * (1 - statistics.busy)
     beyond = ca.mmax(found["at_end"][[0, 1, 3]]) > 0
     soft = ca.logic_or(beyond, age + acted + period >= s.soft_sum)
-    grid = ca.if_else(soft, 0, ca.fmin(1 + stiff, last.grid + 1))
+    grid = ca.if_else(soft, 0, ca.fmin(1 + (uncertain < s.middle_timing) + stiff, last.grid + 1))
     # without evidence the softest grid would let the error stand for a second
     grid = ca.if_else(known, grid, ca.fmax(last.grid, statistics.acts))
     grid *= statistics.enough

@@ -156,6 +156,7 @@ class DecisionSettings:
     soft_sum: float = 0.14
     stiff_total: float = 0.015  # s, largest total under the stiffest grid
     stiff_timing: float = 0.004  # s, largest timing uncertainty under it
+    middle_timing: float = 0.008  # s, likewise under the one before it
     at_limit: float = 0.999  # share of the range of a thrust from which on it is at its limit
     saturated: float = 0.2  # share of recent commands at a limit, from which on the stiffest grid does not fly
     saturation_memory: float = 0.3  # s
@@ -165,11 +166,11 @@ class DecisionSettings:
     most_inverted: float = 0.03  # s, of a lag: what that gain is at 50 Hz; slower, commands went from limit to limit
     largest_wait: float = 0.1  # s, over which an MPC predicts
     samples: int = 4  # of the reference in a control period, so that an MPC may ask for later ones
-    # Beside the controller's own, the softest: 1.64 with that alone; 1.02 with two more, and 1.4 times the change of a
-    # command
+    # Beside the controller's own, the softest: 1.64 with that alone; one more between the last two brings 0.99, and 1.4
+    # times the change of a command
     grids: tuple[Grid, ...] = (
-        # a first node of 0.05 s is lost at 26 Hz behind 100 ms; without the weight 0.42 of a noisy hover is at a limit
-        Grid(0.06, 0.8, 60.0, 3.0),
+        Grid(0.06, 0.8, 40.0),
+        Grid(0.05, 0.8, 100.0, 10.0),  # without the weight of commands 0.42 of a noisy hover is at a limit
         Grid(0.02, 0.8, 200.0),  # a horizon of 0.6 s is too short for corners
     )
 

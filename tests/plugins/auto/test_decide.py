@@ -70,13 +70,14 @@ def test_an_age_may_be_all_of_what_is_known_as_a_sum():
 
 def test_the_grid_gets_stiffer_step_by_step_and_softer_at_once():
     decision, levels = NOTHING, []
-    for _ in range(3):
+    for _ in range(4):
         decision = decide(found(), decision, NO_SENSES)
         levels.append(decision.grid)
-    assert levels == [1, 2, 2]
-    assert decide(found(sd=0.004), decision, NO_SENSES).grid == 1
-    assert decide(found(), decision, Statistics(busy=1)).grid == 1
-    assert decide(found(total=0.03, total_odds=9), decision, NO_SENSES).grid == 1
+    assert levels == [1, 2, 3, 3]
+    assert decide(found(sd=0.004), decision, NO_SENSES).grid == 2
+    assert decide(found(sd=0.008), decision, NO_SENSES).grid == 1
+    assert decide(found(), decision, Statistics(busy=1)).grid == 2
+    assert decide(found(total=0.03, total_odds=9), decision, NO_SENSES).grid == 2
     assert decide(found(), decision, Statistics(enough=0)).grid == 0
 
 
