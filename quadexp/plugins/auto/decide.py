@@ -2,11 +2,11 @@
 
 age               posterior mean, where the Bayes factor against none is very strong
 dead time, lag    posterior mean, where it is positive
-stiffness         by the timing uncertainty  sigma = sd(D) + |D - acted| + max(sd(a), |a - acted| / 2) / 2;  the stiffest
-                  grid where also the total is short, the estimated position has no noise and no rotor saturates; one
-                  grid at a time towards it. The softest, the controller's own, where age or total may be any larger
-                  one than those that are looked for, where they and the period are long, and as long as there are few
-                  readings.
+stiffness         by the timing uncertainty  sigma = sd(D) + |D - acted| + max(sd(a), |a - acted| / 2) / 2, one grid at
+                  a time towards the stiffer; the stiffest where also the total is short, the estimated position has
+                  no noise and no rotor saturates. The softest, the controller's own, where age or total may be any
+                  larger one than those that are looked for, where they and the period are long, and as long as there
+                  are few readings.
 
 A look at the evidence begins a search for the posterior where one is due: the coarse grid in the next instant, finer
 ones in those after it, each where the last one ended, until one's mode is not on its edge. As a flight begins, all are
