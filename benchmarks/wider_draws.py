@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -170,9 +170,10 @@ def _file(rng: np.random.Generator) -> Path:
 
 
 @contextmanager
-def missing_readings(share: float) -> Iterator[None]:
-    """Meanwhile, this share of the accelerometer's readings is missing, in flights that Python makes."""
-    if not share:
+def missing_readings(share: float, when: Callable[[float], bool] | None = None) -> Iterator[None]:
+    """Meanwhile, this share of the accelerometer's readings is missing, or those of the times `when` says (s), in
+    flights that Python makes."""
+    if not share and when is None:
         yield
         return
     admit, covers = ReadingGate.admit, rollout.covers
@@ -180,7 +181,8 @@ def missing_readings(share: float) -> Iterator[None]:
 
     def some(gate: ReadingGate, measurement: Any) -> Any:
         measurement = admit(gate, measurement)
-        return measurement._replace(specific_force=None) if rng.random() < share else measurement
+        gone = rng.random() < share if when is None else when(measurement.t)
+        return measurement._replace(specific_force=None) if gone else measurement
 
     # The gate of every flight loses readings meanwhile, and no flight goes into C, which has a gate of its own.
     ReadingGate.admit, rollout.covers = some, lambda *about: False  # type: ignore[method-assign]  # for a while
