@@ -28,7 +28,8 @@ from quadexp.parts.options import Folders
 from quadexp.physics.state import ATTITUDE, RATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.vehicle.betaflight.firmware import TICK, Firmware, channels_packet, firmware_file, state_packet
-from quadexp.plugins.vehicle.rates import Rates, rates_of
+from quadexp.plugins.vehicle.betaflight.rate_loop import axis_gains, law_margins
+from quadexp.plugins.vehicle.rates import Rates, inverse_rates, predicted_rates, rate_gain
 from quadexp.world.link import Latency
 from quadexp.world.streams import Streams, part_stream
 from quadexp.world.world import World
@@ -120,26 +121,27 @@ class Through:
         if abs(period / TICK - round(period / TICK)) > EXACT:
             raise UsageError(f"fly betaflight: a control period of {period:g} s is no whole number of milliseconds")
         held = max(sent - period, 0.0) / 2  # s, in the mean, beyond the hold of a command
-        margins = dict(loop.margins)
-        if "delay" in margins:
-            tolerated = 1e3 * margins["delay"]  # ms
-            margins["delay"] = max(margins["delay"] - held, 0.0)
-            if held and not margins["delay"]:
-                raise InfeasibleError(
-                    f"--rc-rate {self.radio.rate:g}: pulses act {1e3 * held:.0f} ms later than commands; the loop"
-                    f" tolerates {tolerated:.0f} ms"
-                )
-            late = self.radio.ahead + period
-            if self.radio.rates != "predicted" and margins["delay"] < late:  # a prediction is sent that much earlier
-                raise InfeasibleError(
-                    f"--rates {self.radio.rates}: its torque comes {1e3 * late:.0f} ms late, by --ahead and a control"
-                    f" period; the loop tolerates {tolerated:.0f} ms: raise controller.rate, or lower its bandwidths"
-                )
-        rates = rates_of(self.radio.rates, loop.controller, self.radio.ahead)
+        gain = rate_gain(self.radio.rates, axis_gains(loop.vehicle))
+        if gain is None:
+            rates, margins = predicted_rates(loop.controller, self.radio.ahead), self._held(loop.margins, held)
+        else:
+            rates, margins = inverse_rates(loop.controller, gain), law_margins(loop, gain, held)
         order, turning = rotor_order(loop.vehicle)
         with Firmware(self.program, self.folder) as firmware:
             self.version = firmware.settings([*SETTINGS, *turning])
         return replace(loop, plant=Stacked(loop.plant, self.started, rates, self.radio, order), margins=margins)
+
+    def _held(self, margins: dict[str, Any], held: float) -> dict[str, Any]:
+        """Margins of the loop of a prediction, which is sent ahead of the firmware's delay: what pulses are held (s)
+        beyond a command is taken off. Raises InfeasibleError where that is too long."""
+        if not held or "delay" not in margins:
+            return margins
+        if margins["delay"] <= held:
+            raise InfeasibleError(
+                f"--rc-rate {self.radio.rate:g}: pulses act {1e3 * held:.0f} ms later than commands; the loop tolerates"
+                f" {1e3 * margins['delay']:.0f} ms"
+            )
+        return margins | {"delay": margins["delay"] - held}
 
     def started(self) -> Firmware:
         """The firmware, at its boot."""
