@@ -246,8 +246,9 @@ def node_memory(mpc: Any) -> int:
 
 
 def node_c(exported: Program) -> str:
-    """The functions of a node of the MPC."""
-    return f'#include "real.h"\n{QUIET}{in_precision(node_source(exported.plan.mpc), exported.names)}'
+    """The functions of a node of the MPC. What CasADi adds gets the prefix too: libraries are linked together."""
+    own = f"#define CASADI_CODEGEN_PREFIX\n#define CODEGEN_PREFIX {exported.names.prefix}_node_\n"
+    return f'#include "real.h"\n{QUIET}{own}{in_precision(node_source(exported.plan.mpc), exported.names)}'
 
 
 def mpc_c(exported: Program) -> str:
