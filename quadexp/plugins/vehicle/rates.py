@@ -41,7 +41,9 @@ def predicted_rates(controller: Any, ahead: float | None = None) -> Rates:
     Raises UsageError for a controller that predicts none."""
     core = innermost(controller)
     if not hasattr(core, "mpc") and getattr(core, "rates", None) is None:
-        raise UsageError("this controller predicts no body rates, as an MPC does: --rates inverse=X,Y,Z")
+        raise UsageError(
+            "this controller predicts no body rates, as an MPC does: --rates inverse=X,Y,Z; betaflight: or inverse"
+        )
 
     def predicted(x: np.ndarray, thrusts: np.ndarray) -> np.ndarray:
         if hasattr(core, "mpc"):

@@ -27,7 +27,14 @@ from quadexp.parts.compose import compose
 from quadexp.parts.options import Folders
 from quadexp.physics.state import ATTITUDE, RATE
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.vehicle.betaflight.firmware import TICK, Firmware, channels_packet, firmware_file, state_packet
+from quadexp.plugins.vehicle.betaflight.firmware import (
+    HERE,
+    TICK,
+    Firmware,
+    channels_packet,
+    firmware_file,
+    state_packet,
+)
 from quadexp.plugins.vehicle.betaflight.rate_loop import axis_gains, law_margins
 from quadexp.plugins.vehicle.rates import Rates, inverse_rates, predicted_rates, rate_gain
 from quadexp.world.link import Latency
@@ -39,14 +46,7 @@ LOW, MIDDLE, HIGH = 1010, 1500, 2000  # us: throttle from which the mixer acts, 
 GROUND, ARMED, HOVERING = (6000, 1000, 500)  # ticks on the stand: throttle down, armed, first thrust
 MOST_STEPS = 1000  # of a throw: pulses are whole us
 EXACT = 1e-6  # ticks, by which a time may differ from whole ones
-AXES = ("roll", "pitch", "yaw")
-SETTINGS = (  # the vehicle of the bench: no idle thrust, linear rates; the rest as it comes
-    "set small_angle = 180", "set failsafe_delay = 20", "set runaway_takeoff_prevention = OFF", "set motor_idle = 0",
-    "set throttle_boost = 0", "set thr_mid = 50", "set thr_expo = 0", "set deadband = 0", "set yaw_deadband = 0",
-    f"set min_check = {LOW}", "set rates_type = ACTUAL", "aux 0 0 0 1700 2100 0 0",
-    *(f"set {axis}_{name} = {value:.0f}" for axis in AXES for name, value in
-      (("rc_rate", FULL / 10), ("srate", FULL / 10), ("expo", 0), ("rate_limit", 1998))),
-)  # fmt: skip
+SETTINGS = (HERE / "settings.txt").read_text(encoding="utf-8").splitlines()  # no idle thrust, linear rates of FULL
 QUADRANTS = ((1, -1), (-1, 1), (1, 1), (-1, -1))  # signs of x and y of the rotors in the order of the firmware's packet
 SPINS = (-1, -1, 1, 1)  # their reaction torques in its own order of propellers
 
