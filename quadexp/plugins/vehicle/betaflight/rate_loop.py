@@ -1,14 +1,15 @@
 """Betaflight's rate loop as an effect, for the margins of a law whose torque goes through it as body rates.
 
-A control instant sends rates w* (rates.py) and a collective thrust u over the radio; the firmware smooths both by three
-equal lags, and its controller of each axis gives a share s of that axis' torque:
+A control instant sends rates w* (rates.py) and a collective thrust u over the radio; the firmware smooths both, here by
+a lag, and its controller of each axis gives a share s of that axis' torque:
 
-    s = P e + I integral(e) - D w' + F (w*' / 8 + hold (w* - w*_slow)),    e = w* - w
+    s = P e + I integral(e) - D w' + H (w* - w*_slow),    e = w* - w
     u_i = u / n + thrust_max sum_axis m_axis,i s_axis
 
-m: signs of its mixer. w*_slow: w* behind a lag of 0.1 s. P, I, D, F and hold, of yaw, are its settings as they come, in
-its own units (thousandths of a share, degrees); it divides w*' by 8 where sticks hardly move. Its integral grows 2.5
-times as fast as I says: the simulation build makes every 50 us what it takes for 125 us. Limits of shares are left out.
+m: signs of its mixer. w*_slow: w* behind a lag of 0.1 s; H: of yaw, the feedforward that is held. All are its settings
+as they come, in its own units (thousandths of a share, degrees). Its integral grows 2.5 times as fast as I says: the
+simulation build makes every 50 us what it takes for 125 us. Left out: limits of shares, and feedforward of w*', which
+it divides by 8 where sticks hardly move.
 """
 
 from __future__ import annotations
@@ -33,15 +34,11 @@ SHARE = np.degrees(1) / 1000  # of a torque, from the firmware's units
 PROPORTIONAL = SHARE * 0.032029 * np.array([45.0, 47.0, 45.0])  # s; of roll, pitch, yaw
 INTEGRAL = SHARE * 0.244381 * np.array([80.0, 84.0, 80.0]) * 125 / 50
 DERIVATIVE = SHARE * 0.000529 * np.array([30.0, 34.0, 0.0])  # s^2
-FORWARD = SHARE * 0.013754 * np.array([1.2, 1.25, 1.2])  # s^2
-JITTER = 1 / 8  # of it, where sticks hardly move
-HOLD = np.array([0.0, 0.0, 15.0])  # 1/s
-HOLD_LAG = 0.1  # s
-LAG = 1e-3  # s, of each lag of the smoothing
-DERIVATIVE_LAG = 2e-3  # s, of the filter of w'
+HELD = SHARE * 0.013754 * 15 * np.array([0.0, 0.0, 1.2])  # s
+HELD_LAG = 0.1  # s, of w*_slow
+LAG = 2e-3  # s, of the smoothing, less what is left out, and of the filter of w'
 SENT = 4  # numbers: rates (rad/s) and thrust (N)
-LAGS = 3
-OWN = SENT * LAGS + 9  # inner states beside those of the radio: the lags, integral(e), w behind the filter, w*_slow
+OWN = SENT + 9  # inner states beside those of the radio, see _parts
 
 
 def axis_gains(vehicle: Vehicle) -> np.ndarray:
@@ -67,7 +64,7 @@ class RateLoop(Latency):
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         sent = np.array([0.0, 0.0, 0.0, start.thrust.sum()])
         waiting, parameters = super().start(rng, start._replace(thrust=sent))
-        return np.concatenate([waiting, *[sent] * LAGS, np.zeros(9)]), parameters
+        return np.concatenate([waiting, sent, np.zeros(9)]), parameters
 
     def begin(self, at: Moment) -> Expression:
         """What the law commands is sent."""
@@ -77,29 +74,27 @@ class RateLoop(Latency):
 
     def thrusts(self, at: Moment) -> Expression:
         """Of the shares of the torques, and of the collective thrust."""
-        *_, before, smooth, integral, filtered, slow = self._parts(at)
-        rate, wanted = at.x[RATE], smooth[:3]
-        forward = JITTER * (before[:3] - wanted) / LAG + ca.DM(HOLD) * (wanted - slow)
+        wanted, thrust, integral, filtered, slow = self._parts(at)
+        rate = at.x[RATE]
         share = ca.DM(PROPORTIONAL) * (wanted - rate) + ca.DM(INTEGRAL) * integral
-        share += ca.DM(FORWARD) * forward - ca.DM(DERIVATIVE) * (rate - filtered) / DERIVATIVE_LAG
+        share += ca.DM(HELD) * (wanted - slow) - ca.DM(DERIVATIVE) * (rate - filtered) / LAG
         mixer = ca.DM(np.sign(self.vehicle.allocation[1:]))
-        return smooth[3] / self.vehicle.n_rotors + self.vehicle.thrust_max * (mixer.T @ share)
+        return thrust / self.vehicle.n_rotors + self.vehicle.thrust_max * (mixer.T @ share)
 
     def advance(self, at: Moment) -> Expression:
-        *lags, integral, filtered, slow = self._parts(at)
+        wanted, thrust, integral, filtered, slow = self._parts(at)
         arrived = super().thrusts(at._replace(inner=at.inner[:-OWN], command=ca.SX(SENT, 1)))
-        moved = [arrived]
-        for smooth in lags:
-            moved.append(_lagging(smooth, moved[-1], at.step, LAG))
-        rate, wanted = at.x[RATE], lags[-1][:3]
-        filtered = _lagging(filtered, rate, at.step, DERIVATIVE_LAG)
-        slow = _lagging(slow, wanted, at.step, HOLD_LAG)
-        return ca.vertcat(at.inner[:-OWN], *moved[1:], integral + at.step * (wanted - rate), filtered, slow)
+        rate = at.x[RATE]
+        smooth = _lagging(ca.vertcat(wanted, thrust), arrived, at.step, LAG)
+        integral += at.step * (wanted - rate)
+        filtered = _lagging(filtered, rate, at.step, LAG)
+        slow = _lagging(slow, wanted, at.step, HELD_LAG)
+        return ca.vertcat(at.inner[:-OWN], smooth, integral, filtered, slow)
 
     def _parts(self, at: Moment) -> list[Any]:
-        """The lags' states (4,) each, the integral (rad), w behind the filter and w*_slow (rad/s), (3,) each."""
-        ends = [*range(0, SENT * LAGS + 1, SENT), OWN - 6, OWN - 3, OWN]
-        parts: list[Any] = ca.vertsplit(at.inner[-OWN:], ends)
+        """Its own states: smoothed rates (3,) (rad/s) and thrust (N), the integral (3,) (rad), w behind its filter and
+        w*_slow, (3,) each (rad/s)."""
+        parts: list[Any] = ca.vertsplit(at.inner[-OWN:], [0, 3, 4, 7, 10, OWN])
         return parts
 
 
