@@ -3,9 +3,10 @@
     python -m benchmarks.embedded [--model models/gp]      what docs/vehicle.md has in its table
     python -m benchmarks.embedded FOLDER.. [--cpu m7]      folders of `quadexp export-controller`, with prefix qx
 
-Needed: gcc-arm-none-eabi and libnewlib-arm-none-eabi of the distribution, and the package unicorn. Where the package
-tinympc and libstdc++-arm-none-eabi-newlib are there too, the code that it generates stands beside: that MPC is linear,
-about hover, and knows neither attitude beyond small angles nor air; it computes no model in flight. The recorded flight
+Needed: gcc-arm-none-eabi and libnewlib-arm-none-eabi of the distribution, and the package unicorn. Two linear MPCs of
+the same horizon stand beside, where they are there: the code that the package tinympc generates (it needs
+libstdc++-arm-none-eabi-newlib), and DAQP, from its source distribution (--daqp). They are about hover, know neither
+attitude beyond small angles nor air, and compute no model in flight. The recorded flight
 is flown again in the emulator: its first steps, and those around the largest commands. An instruction is no cycle: a
 Cortex-M7 makes between one half and two a cycle.
 """
@@ -16,16 +17,17 @@ import argparse
 import bisect
 import contextlib
 import json
+import math
 import re
 import shutil
 import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,6 +48,7 @@ END = 0x300000  # where a call returns to
 STEPS, AROUND = 4, 3  # that are flown from the start; and before each of the largest commands
 BODY = 13
 NODES, NODE = 10, 0.1  # of the published horizon, and their length (s)
+AWAY = 0.1, 5.0  # m, from which linear MPCs begin: no rotor is at its limits, and several are
 PATH = ("trajectory=lemniscate", "trajectory.speed=12")  # where rotors are at their limits
 CONTROLLERS = {
     "nominal_mpc": ("controller=nominal_mpc",),
@@ -191,44 +194,112 @@ def measured(folder: Path, cpu: str) -> dict[str, Any]:
         return numbers | {"stack": TOP - board.lowest, "apart": apart, **board.sizes()}
 
 
-def tinympc(cpu: str) -> dict[str, Any]:
-    """A row of the code that TinyMPC generates: a linear MPC about hover, as many nodes, double; its iterations end at
-    a tolerance of 1e-3. The first call solves from 0.1 m away, the others go on along its prediction."""
-    import tinympc as package
+class Linear(NamedTuple):
+    """A linear MPC about hover: x_next = A x + B u, x: position, small angles, velocity, body rates (12,); u: thrusts
+    beyond hover (n,) (N), low <= u <= high; cost x' Q x + u' R u over NODES, in double."""
+
+    A: np.ndarray
+    B: np.ndarray
+    Q: np.ndarray
+    R: np.ndarray
+    low: float
+    high: float
+
+
+def linear_mpc() -> Linear:
+    """That of the bench's vehicle."""
     from scipy.linalg import expm
 
     vehicle = compose(["trajectory=hover"]).vehicle
     A, B = hover_model(vehicle)
     n, m = B.shape
     both = expm(NODE * np.block([[A, B], [np.zeros((m, n + m))]]))
-    A, B, hover = both[:n, :n], both[:n, n:], vehicle.hover_thrust
-    solver = package.TinyMPC()
     weights = np.diag(np.repeat([100.0, 10.0, 1.0, 0.1], 3))
-    solver.setup(A, B, weights, 0.1 * np.eye(m), NODES, rho=1.0, max_iter=100, abs_pri_tol=1e-3, abs_dua_tol=1e-3)
-    low, high = vehicle.thrust_min - hover, vehicle.thrust_max - hover
-    solver.set_bound_constraints(np.full(n, -1e17), np.full(n, 1e17), np.full(m, low), np.full(m, high))
-    x = np.zeros(n)
-    x[0] = 0.1
-    solver.set_x0(x)
+    hover = vehicle.hover_thrust
+    return Linear(
+        both[:n, :n], both[:n, n:], weights, 0.1 * np.eye(m), vehicle.thrust_min - hover, vehicle.thrust_max - hover
+    )
+
+
+def row_of(board: Board, mpc: Linear, command_of: Callable[[np.ndarray], np.ndarray] | None = None) -> dict[str, Any]:
+    """A row of a linear MPC: the first call solves from AWAY, the others go on along its prediction. command_of: what
+    is to be answered; None: unknown."""
+    counts, apart = list[int](), 0.0
+    for away in AWAY:
+        board.call("t_reset")
+        x = away * np.eye(len(mpc.A))[0]
+        for _ in range(STEPS + 1):
+            board.write("t_state", x.astype("<f8").tobytes())
+            counts.append(board.call("t_step"))
+            command = np.frombuffer(board.read("t_command", 8 * mpc.B.shape[1]), "<f8")
+            apart = max(apart, np.abs(command - command_of(x)).max()) if command_of else math.nan
+            x = mpc.A @ x + mpc.B @ command
+        if away == AWAY[0]:
+            used = board.sizes()
+            used["ram"] += struct.unpack("<i", board.read("t_heap", 4))[0]
+    row = {"step": int(np.median(counts[1 : STEPS + 1])), "worst": max(counts), "first": counts[0]}
+    return row | {"stack": TOP - board.lowest, "apart": apart, **used}
+
+
+def tinympc(cpu: str) -> dict[str, Any]:
+    """A row of the code that TinyMPC generates; its iterations end at a tolerance of 1e-3."""
+    import tinympc as package
+
+    mpc = linear_mpc()
+    n, m = mpc.B.shape
+    solver = package.TinyMPC()
+    solver.setup(mpc.A, mpc.B, mpc.Q, mpc.R, NODES, rho=1.0, max_iter=100, abs_pri_tol=1e-3, abs_dua_tol=1e-3)
+    limits = np.full(m, mpc.low), np.full(m, mpc.high)
+    solver.set_bound_constraints(np.full(n, -1e17), np.full(n, 1e17), *limits)
+    solver.set_x0(AWAY[0] * np.eye(n)[0])
     with tempfile.TemporaryDirectory() as scratch:
         made = Path(scratch) / "tinympc"
         with contextlib.suppress(subprocess.CalledProcessError):  # it then builds a Python module, which is not needed
             solver.codegen(str(made))
-        sources = [HERE / "embedded_tinympc.cpp", made / "src" / "tiny_data.cpp"]
+        sources = [HERE / "embedded_tinympc.cpp", HERE / "embedded_heap.c", made / "src" / "tiny_data.cpp"]
         sources += [made / "tinympc" / name for name in ("admm.cpp", "rho_benchmark.cpp")]
         flags = ["-std=c++17", "-DNDEBUG", "-fno-exceptions", "-fno-rtti", "-fno-threadsafe-statics"]
         flags += [f"-I{made}", f"-I{made / 'include'}", f"-I{made / 'include' / 'Eigen'}"]
-        board = Board(compiled("g++", cpu, flags, sources, Path(scratch)))
-        board.call("t_reset")
-        counts = []
-        for _ in range(STEPS + 1):
-            board.write("t_state", x.astype("<f8").tobytes())
-            counts.append(board.call("t_step"))
-            x = A @ x + B @ np.frombuffer(board.read("t_command", 8 * m), "<f8")
-        used = board.sizes()
-        used["ram"] += struct.unpack("<i", board.read("t_heap", 4))[0]
-        row = {"step": int(np.median(counts[1:])), "worst": max(counts), "first": counts[0]}
-        return row | {"stack": TOP - board.lowest, "apart": float("nan"), **used}
+        return row_of(Board(compiled("g++", cpu, flags, sources, Path(scratch))), mpc)
+
+
+def daqp(cpu: str, source: Path) -> dict[str, Any]:
+    """A row of DAQP: the same MPC without its states, a QP in the inputs of all nodes, solved to its own tolerance.
+
+    source: folder csrc of its source distribution."""
+    from scipy.optimize import lsq_linear
+
+    mpc = linear_mpc()
+    H, F = condensed(mpc)
+    root = np.linalg.cholesky(H)
+
+    def command(x: np.ndarray) -> np.ndarray:
+        right = -np.linalg.solve(root, F @ x)
+        answer: np.ndarray = lsq_linear(root.T, right, (mpc.low, mpc.high), tol=1e-14).x
+        return answer[: mpc.B.shape[1]]
+
+    with tempfile.TemporaryDirectory() as scratch:
+        rows = [f"{{{', '.join(map(repr, row.tolist()))}}}" for row in F]
+        text = f"#define COUNT {len(H)}\n#define LOW {mpc.low!r}\n#define HIGH {mpc.high!r}\n"
+        text += f"static double H[] = {{{', '.join(map(repr, H.ravel().tolist()))}}};\n"
+        text += f"static const double F[COUNT][{len(mpc.A)}] = {{{', '.join(rows)}}};\n"
+        (Path(scratch) / "problem.h").write_text(text)
+        sources = [HERE / "embedded_daqp.c", HERE / "embedded_heap.c", *sorted((source / "src").glob("*.c"))]
+        flags = ["-std=gnu11", f"-I{source / 'include'}", f"-I{scratch}"]
+        return row_of(Board(compiled("gcc", cpu, flags, sources, Path(scratch))), mpc, command)
+
+
+def condensed(mpc: Linear) -> tuple[np.ndarray, np.ndarray]:
+    """H (N n, N n) and F (N n, 12) of the cost u' H u / 2 + (F x)' u in all inputs of NODES nodes, x the state now."""
+    n, m = mpc.B.shape
+    free, driven = np.eye(n), np.zeros((n, NODES * m))
+    H, F = np.kron(np.eye(NODES), 2 * mpc.R), np.zeros((NODES * m, n))
+    for k in range(NODES):
+        free, driven = mpc.A @ free, mpc.A @ driven
+        driven[:, k * m : (k + 1) * m] += mpc.B
+        H += 2 * driven.T @ mpc.Q @ driven
+        F += 2 * driven.T @ mpc.Q @ free
+    return H, F
 
 
 def hover_model(vehicle: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -258,6 +329,7 @@ def main() -> None:
     parser.add_argument("folders", nargs="*", type=Path)
     parser.add_argument("--cpu", choices=[*FLAGS], default="m7")
     parser.add_argument("--model", type=Path, default=Path("models/gp"), help="of gp_mpc and linear_drag_mpc")
+    parser.add_argument("--daqp", type=Path, default=Path("build/daqp-0.11.0/csrc"), help="source of DAQP")
     given = parser.parse_args()
     if shutil.which(f"{TOOLS}gcc") is None:
         sys.exit(print(f"skipped: no {TOOLS}gcc here"))
@@ -270,6 +342,8 @@ def main() -> None:
             show(folder.name, cpu, measured(folder, cpu))
     if not given.folders and find_spec("tinympc") is not None and shutil.which(f"{TOOLS}g++"):
         show("TinyMPC, linear, double", "m7", tinympc("m7"))
+    if not given.folders and given.daqp.is_dir():
+        show("DAQP, linear, double", "m7", daqp("m7", given.daqp))
 
 
 def show(name: str, cpu: str, row: Mapping[str, Any]) -> None:

@@ -127,12 +127,16 @@ class Layer(WrappedController):
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
         super().reset(x, window)
-        thrust = thrust_at_start(window, self.vehicle)
-        start = at_start(self.vehicle, self.about, thrust) if self._remembers_sent else {}
-        start |= self.part.start(Inputs(self.vehicle, self.about, ca.SX), x, thrust)
-        self.memory.begin({name: value for name, value in start.items() if name in self.memory.sizes})
+        for memory, values in self.starts(x, thrust_at_start(window, self.vehicle)):
+            memory.begin(values)
         if "belief" in self.results:
             self.results["belief"][...] = NO_BELIEF
+
+    def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
+        """What is remembered as a flight begins, see `reset`; x, (13,), and thrust, (n,) (N), may be symbols."""
+        start = at_start(self.vehicle, self.about, thrust) if self._remembers_sent else {}
+        start |= self.part.start(Inputs(self.vehicle, self.about, ca.SX), x, thrust)
+        return [(self.memory, {name: value for name, value in start.items() if name in self.memory.sizes})]
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step; the record is that of the controller's last step."""

@@ -20,6 +20,7 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.physics.state import ATTITUDE, STATE_COLUMNS
 
 HELD = 0.1  # s
+ROUNDING = 1e-9  # s, of times: a reading that is HELD old is used, whatever their last bits
 LARGEST = 1e9  # SI units
 LENGTH_ERROR = 0.5  # of a quaternion's squared length
 
@@ -58,7 +59,7 @@ class ReadingGate:
         if admitted:
             self.keep(name, t)
             return values
-        if not abs(t - self._read_at.get(name, -math.inf)) <= HELD:
+        if not abs(t - self._read_at.get(name, -math.inf)) <= HELD + ROUNDING:
             raise self._refusal(name, values, t)
         return None
 

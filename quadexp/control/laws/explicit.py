@@ -69,10 +69,13 @@ class ExplicitController(InCalls):
         """See Controller.reset."""
         super().reset(x, window)
         self._places["belief"][...] = NO_BELIEF
-        start = self.law.start(self.vehicle, x)
-        if "sent" in self.memory.sizes:
-            start |= at_start(self.vehicle, self._about, thrust_at_start(window, self.vehicle))
-        self.memory.begin(start)
+        for memory, values in self.starts(x, thrust_at_start(window, self.vehicle)):
+            memory.begin(values)
+
+    def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
+        """See Layer."""
+        sent = at_start(self.vehicle, self._about, thrust) if "sent" in self.memory.sizes else {}
+        return [(self.memory, self.law.start(self.vehicle, x) | sent)]
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step."""

@@ -55,8 +55,13 @@ class DeadTimePredictor:
 
     def reset(self, thrust: np.ndarray) -> None:
         """Start a flight: this command, (n,) (N), has been sent for a long time."""
+        for memory, values in self.starts(thrust):
+            memory.begin(values)
+
+    def starts(self, thrust: np.ndarray) -> list[tuple[Memory, dict[str, np.ndarray]]]:
+        """What is remembered then; thrust may be symbols."""
         start = {"commands": np.tile(thrust, self._delays.pending), "thrust": thrust, "sent": thrust}
-        self.memory.begin({name: value for name, value in start.items() if name in self.memory.sizes})
+        return [(self.memory, {name: value for name, value in start.items() if name in self.memory.sizes})]
 
     def predict(self, x: np.ndarray) -> np.ndarray:
         """State after the dead time, (13,), with a known lag (13 + n,), from the measured state x now, (13,)."""

@@ -130,12 +130,14 @@ class BelievedWorld:
         if self._air_scale is not None:
             self._air_scale[:] = 1.0
         self._mpc.set_thrust_scale(1.0)
-        if self._estimator is None or begin is None:
-            self.memory.begin({})
-            return
-        thrust = self._mpc.prediction[1][0]
+        self.memory.begin({} if begin is None else self.start(begin, self._mpc.prediction[1][0]))
+
+    def start(self, begin: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
+        """What is remembered then, of the estimator and its thrusts, (n,) (N); both may be symbols."""
+        if self._estimator is None:
+            return {}
         commands = np.tile(thrust, self._estimator.delays.pending)
-        self.memory.begin({"commands": commands, "thrust": thrust, "sent": thrust, "estimate": begin})
+        return {"commands": commands, "thrust": thrust, "sent": thrust, "estimate": begin}
 
     def before(self, inputs: InputArrays, state: np.ndarray) -> tuple[list[Call], np.ndarray]:
         """What stands before the plan: it leaves the reference in the plan's frame where the MPC reads it, and the

@@ -13,11 +13,24 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from enum import Flag, auto
 
 import numpy as np
 
 SIZE = 8  # bytes of a number in Python
+
+
+class Use(Flag):
+    """What is done with an array. WRITTEN: by calls, beside being read. CLEARED: what it holds now is not needed.
+    CHANGED: by a user, where no call writes it. SUMMED: over a flight."""
+
+    READ = 0
+    WRITTEN = auto()
+    CLEARED = auto()
+    CHANGED = auto()
+    SUMMED = auto()
+    WORK = WRITTEN | CLEARED
 
 
 @dataclass
@@ -27,10 +40,7 @@ class Block:
     first: int
     end: int
     order: int
-    written: bool = False
-    cleared: bool = False
-    changed: bool = False
-    summed: bool = False
+    use: Use
     place: tuple[str, int] = ("", 0)
 
     @property
@@ -40,7 +50,7 @@ class Block:
 
     def values(self) -> np.ndarray:
         """Its numbers as they are; zeros of what is written before it is read."""
-        if self.cleared:
+        if Use.CLEARED in self.use:
             return np.zeros(self.count)
         return np.array((ctypes.c_double * self.count).from_address(self.first))
 
@@ -62,29 +72,20 @@ class Arrays:
     shared: dict[int, np.ndarray] = field(default_factory=dict)  # address of an array -> whose memory it shares
     lent: dict[int, tuple[str, int]] = field(default_factory=dict)  # address of an array -> its place elsewhere
 
-    def add(
-        self,
-        array: np.ndarray | None,
-        *,
-        written: bool = False,
-        cleared: bool = False,
-        changed: bool = False,
-        summed: bool = False,
-    ) -> None:
-        """An array that calls read. written: and write. cleared: what it holds now is not needed. changed: a user
-        may change it, where no call writes it. summed: over a flight."""
+    def add(self, array: np.ndarray | None, use: Use = Use.READ) -> None:
+        """An array of calls."""
         if array is None or not array.size:
             return
         if array.dtype != float:
             raise ValueError(f"an array of {array.dtype} is no memory of a controller")
         self.kept.append(array)
         first, end = span(array)
-        self.found.append(Block(first, end, len(self.found), written, cleared, changed, summed))
+        self.found.append(Block(first, end, len(self.found), use))
 
-    def add_all(self, arrays: Iterable[np.ndarray], *, written: bool = False, cleared: bool = False) -> None:
+    def add_all(self, arrays: Iterable[np.ndarray], use: Use) -> None:
         """Several."""
         for array in arrays:
-            self.add(array, written=written, cleared=cleared)
+            self.add(array, use)
 
     def lay_out(self) -> None:
         """Join what overlaps, and give each block its place; in ram what begins with zeros is last."""
@@ -92,14 +93,11 @@ class Arrays:
         for part in sorted(self.found, key=lambda block: (block.first, block.end)):
             last = self.blocks[-1] if self.blocks else None
             if last is None or part.first >= last.end:
-                self.blocks.append(Block(**vars(part)))
+                self.blocks.append(replace(part))
                 continue
             last.end = max(last.end, part.end)
             last.order = min(last.order, part.order)
-            last.written |= part.written
-            last.cleared |= part.cleared
-            last.changed |= part.changed
-            last.summed |= part.summed
+            last.use |= part.use
         ends = {"numbers": 0, "ram": 0, "sums": 0, "rom": 0}
         for block in sorted(self.blocks, key=self._rank):
             name = self._array_of(block)
@@ -107,11 +105,10 @@ class Arrays:
             ends[name] += block.count
 
     def _array_of(self, block: Block) -> str:
-        if block.summed:
-            return "sums"
-        if block.written:
-            return "ram"
-        return "numbers" if block.changed else "rom"
+        for use, name in ((Use.SUMMED, "sums"), (Use.WRITTEN, "ram"), (Use.CHANGED, "numbers")):
+            if use in block.use:
+                return name
+        return "rom"
 
     def _rank(self, block: Block) -> tuple[bool, int]:
         return not block.values().any(), block.order

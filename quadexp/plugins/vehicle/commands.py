@@ -43,7 +43,9 @@ def export_controller(
 def fly(
     target: Annotated[str, Ask("betaflight, or udp:HOST:PORT, where a PX4 sends to.", "TARGET")],
     overrides: Overrides = (),
-    rates: Annotated[str, Ask("predicted, or inverse=X,Y,Z, gains of its rate loop (1/s).", "RATES")] = "predicted",
+    rates: Annotated[
+        str, Ask("predicted, or inverse=X,Y,Z of its rate loop (1/s); betaflight: or inverse.", "RATES")
+    ] = "predicted",
     thrust: Annotated[str, Ask("udp: hover=SHARE, full, or curve=FACTOR.", "MAP")] = "full",
     arm: Annotated[bool, Ask("udp: arm the vehicle.")] = False,
     vehicle_is_real: Annotated[bool, Ask("udp: allow addresses of other machines: a vehicle may move.")] = False,
@@ -64,6 +66,7 @@ def fly(
 
     \b
     quadexp fly betaflight --firmware betaflight_4.6.0_SITL controller=gp_mpc model=models/gp horizon=precise
+    quadexp fly betaflight controller=geometric --rates inverse
     quadexp fly udp:127.0.0.1:14540 controller=gp_mpc model=models/gp trajectory=circle trajectory.speed=4 --arm
     quadexp fly udp:127.0.0.1:14540 controller=geometric --rates inverse=25,25,10 --thrust hover=0.5
     """

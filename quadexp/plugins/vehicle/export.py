@@ -119,7 +119,7 @@ def folder_of(
         "controller.h": texts.controller_h(exported, about, len(reference)),
         "controller.c": tables.controller_c(exported),
         "model.c": generate.model_c(exported, functions),
-        "real.h": generate.real_h(names),
+        "real.h": texts.real_h(exported),
         "table.c": texts.table_c(exported, reference),
     }
     copies = [generate.HERE / name for name in ("vehicle.c", "reference.c", "check.c")]
@@ -155,22 +155,22 @@ def checked_files(
     precision = np.dtype("<f8" if names.real == "double" else "<f4")
     files: dict[str, str | bytes] = {"vectors.bin": np.array(flight.rows).astype(precision).tobytes()}
     P, p = names.upper, names.prefix
+    contexts = flight.contexts or []
+    period = compiled_period(plant, controller.control_period) if contexts else None
     rows = [f"#define NAME(name) {p}_##name", f"enum {{ ROTORS = {P}_ROTORS, ROWS = {P}_ROWS }};"]
     rows += [f"#define REPLAYS {int(not learns(controller))}", f"#define REPLAY_LIMIT {REPLAY[names.real]!r} /* N */"]
-    period = compiled_period(plant, controller.control_period)
-    flies = flight.contexts is not None and period is not None and len(flight.contexts) > 0
-    rows += [f"#define HAS_PLANT {int(flies)}"]
-    if flies and period is not None and flight.contexts is not None:
+    rows += [f"#define HAS_PLANT {int(period is not None)}"]
+    if period is not None:
         function = period.function.origin
-        steps = len(flight.contexts)
-        along = np.array([row[:3] for row in reference.along()[0][:steps]])
-        flown = np.array([reference.at(0)[0][:3], *flight.positions])[:steps]
+        start = reference.at(0)[0]
+        along = np.array([row[:3] for row in reference.along()[0][: len(contexts)]])
+        flown = np.array([start[:3], *flight.positions])[: len(contexts)]
         error = float(np.linalg.norm(flown - along, axis=1).mean())
         rows += plant_lines(function, period.arguments, plant, len(flight.first))
         rows += [f"#define PATH_LIMIT {PATHS[names.real]!r} /* m */", f"#define ERROR_SHARE {ERRORS[names.real]!r}"]
         rows += [f"#define MEAN_ERROR {error!r} /* m */"]
-        parts = [reference.at(0)[0], flight.first]
-        for context, position in zip(flight.contexts, flight.positions, strict=True):
+        parts = [start, flight.first]
+        for context, position in zip(contexts, flight.positions, strict=True):
             parts += [context, position]
         files["plant.bin"] = np.concatenate(parts).astype("<f8").tobytes()
         generator = ca.CodeGenerator("check_plant", {"with_header": False})

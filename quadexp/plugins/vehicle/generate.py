@@ -26,29 +26,18 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.control_step import Call
 from quadexp.control.mpc.node import Form
 from quadexp.control.mpc.step import array_shapes
-from quadexp.plugins.vehicle.arrays import Arrays, span
+from quadexp.plugins.vehicle.arrays import Arrays, Use, span
 
 HERE = Path(__file__).parent
 STEP = ("stages.c", "riccati_scalar.c", "active_set.c")
 KERNELS = (compiled_loop.SOURCE, *(stages.SOURCE.with_name(name) for name in STEP))
 CHANGEABLE = ("theta", "Q", "Q_end", "R", "u_min", "u_max", "settings")  # arguments that a user may change in flight
+USES = dict.fromkeys(CHANGEABLE, Use.CHANGED)  # of arguments, by name
+PLAN_USES = USES | dict.fromkeys(("x0", "X", "U", "X_ref", "U_ref", "guess"), Use.WORK) | {"shift": Use.WRITTEN}
 REPLACED = {"bounded_X": "X_new", "bounded_U": "U_new"}  # results that are made when the others are read no more
 LENT = ("cost", "k", "multiplier")  # results of mpc_prepare that mpc_bounded, which needs most work, reads no more
+FLOAT = HERE / "float.h.in"  # functions of math.h, that generated code and the C of the bench call
 FLOAT_TOLERANCE = 1e-4  # N: bound violation that counts as none, in single precision
-FUNCTIONS = (  # of math.h, that generated code and the C of the bench call
-    "sqrt", "exp", "log", "log10", "fabs", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",
-    "fmax", "fmin", "pow", "floor", "ceil", "copysign", "rint", "hypot", "expm1", "log1p", "fmod", "erf",
-)  # fmt: skip
-SHARED: tuple[str, ...] = (
-    "mpc_prepare",
-    "mpc_feedback",
-    "mpc_bounded",
-    "node_linearise",
-    "node_held",
-    "node_frame",
-    "node_lanes",
-)
-SHARED += ("node_memory", "has_lanes", "linearise", "held", "frame", "mpc_work", "mpc_rows")
 HELPERS = re.compile(  # what CasADi adds for programs that ask a library about its functions
     r"CASADI_SYMBOL_EXPORT [^\n]*_(?:checkout|release|incref|decref|n_in|n_out|default_in|name_in|name_out|sparsity_in|"
     r"sparsity_out|work|work_bytes|casadi_version|casadi_int_size|casadi_real_size)\([^)]*\)\s*"
@@ -115,28 +104,27 @@ def program(controller: Any, names: Names, start: tuple[ca.Function | None, list
     kept = None if own is None or is_read(own.memory.now, instant.calls) else own
     calls = [one for one in instant.calls if kept is None or not keeps_solution(kept, one)]
     for name in ("state", "specific_force", "rotor_speed", "path", "yaw", "fresh"):
-        arrays.add(getattr(inputs, name), written=True, cleared=True)
+        arrays.add(getattr(inputs, name), Use.WORK)
     for memory in instant.memory:
         if kept is not None and memory is kept.memory:
             continue
         for now, after in memory.pairs:
-            arrays.add_all((now, after), written=True, cleared=True)
-        arrays.add(memory.now, written=True, cleared=True)
+            arrays.add_all((now, after), Use.WORK)
+        arrays.add(memory.now, Use.WORK)
     for entry in calls:
-        window = entry.kind == "window"
-        arrays.add(entry.to, written=True, cleared=window, summed=entry.kind == "gather")
-        arrays.add(entry.other, written=True, cleared=window)
+        use = Use.WORK if entry.kind == "window" else Use.WRITTEN
+        arrays.add(entry.to, use | Use.SUMMED if entry.kind == "gather" else use)
+        arrays.add(entry.other, use)
         arrays.add(entry.source)
         arrays.add(entry.when)
         if entry.function is not None:
             for name, array in entry.function.arguments.items():
-                arrays.add(array, changed=name in CHANGEABLE)
-            arrays.add_all(entry.function.results.values(), written=True, cleared=True)
+                arrays.add(array, USES.get(name, Use.READ))
+            arrays.add_all(entry.function.results.values(), Use.WORK)
     if instant.plan is not None:
         mpc = instant.plan.mpc
-        solved = ("x0", "X", "U", "X_ref", "U_ref", "guess")
         for name, array in mpc.step.arguments.items():
-            arrays.add(array, written=name in (*solved, "shift"), cleared=name in solved, changed=name in CHANGEABLE)
+            arrays.add(array, PLAN_USES.get(name, Use.READ))
         place = node_memory(mpc)
         shapes = array_shapes(scalar_form(mpc), len(mpc.step.arguments["U"]))[1]
         for name, array in mpc.step.results.items():
@@ -148,9 +136,9 @@ def program(controller: Any, names: Names, start: tuple[ca.Function | None, list
             elif name in REPLACED:
                 arrays.shared[array.ctypes.data] = mpc.step.results[REPLACED[name]]
             else:
-                arrays.add(array, written=True, cleared=True)
-        arrays.add(instant.plan.unprepared, written=True)
-    arrays.add(instant.command, written=True)
+                arrays.add(array, Use.WORK)
+        arrays.add(instant.plan.unprepared, Use.WRITTEN)
+    arrays.add(instant.command, Use.WRITTEN)
     arrays.lay_out()
     rows = len(controller.node_times)
     return Program(names, controller, calls, instant.command, instant.plan, start, rows, hover, arrays)
@@ -186,22 +174,7 @@ def functions_of(exported: Program) -> dict[int, tuple[str, ca.Function]]:
     return functions
 
 
-# --------------------------------------------------------------------------------------------------------- small files
-def real_h(names: Names) -> str:
-    """Precision and names, before every other line of C."""
-    lines = [
-        "/* Precision, and the names that other objects see. */",
-        "#include <math.h>",
-        f"#define REAL {names.real}",
-    ]
-    lines += ["#define INTEGER int", "#define casadi_real REAL", "#define casadi_int INTEGER", "#define SCALAR"]
-    if names.real == "float":
-        lines += [f"#define {name} {name}f" for name in FUNCTIONS]
-    lines += ["#define SUM double"]
-    lines += [f"#define {name} {names.prefix}_{name}" for name in SHARED]
-    return "\n".join(lines) + "\n"
-
-
+# ----------------------------------------------------------------------------------------------------------- functions
 def in_precision(source: str, names: Names) -> str:
     """Code that CasADi generated, without what a program would ask a library, and without the test of each argument
     before each of its numbers is read; with literals of the precision."""
@@ -225,9 +198,9 @@ def model_c(exported: Program, functions: Sequence[ca.Function]) -> str:
             generator.add(function)
     renamed = "".join(f"#define {entry.name()} {names.prefix}_{entry.name()}\n" for entry in functions)
     body = in_precision(generator.dump(), names) if functions else ""
-    texts = "".join(f"#undef {name}\n" for name in FUNCTIONS if written)  # these compute in double, as their sums are
-    texts += "\n".join(dict.fromkeys(written.values()))  # several functions may be of one text
-    return f'#include "real.h"\n{QUIET}{renamed}{body}{texts}'
+    texts = "\n".join(dict.fromkeys(written.values()))  # several functions may be of one text
+    in_double = re.sub(r"#define (\w+) .*", r"#undef \1", FLOAT.read_text(encoding="utf-8")) if written else ""
+    return f'#include "real.h"\n{QUIET}{renamed}{body}{in_double}{texts}'  # written ones compute sums, in double
 
 
 def scalar_form(mpc: Any) -> Form:
@@ -246,8 +219,9 @@ def node_memory(mpc: Any) -> int:
 
 
 def node_c(exported: Program) -> str:
-    """The functions of a node of the MPC."""
-    return f'#include "real.h"\n{QUIET}{in_precision(node_source(exported.plan.mpc), exported.names)}'
+    """The functions of a node of the MPC. What CasADi adds gets the prefix too: libraries are linked together."""
+    own = f"#define CASADI_CODEGEN_PREFIX\n#define CODEGEN_PREFIX {exported.names.prefix}_node_\n"
+    return f'#include "real.h"\n{QUIET}{own}{in_precision(node_source(exported.plan.mpc), exported.names)}'
 
 
 def mpc_c(exported: Program) -> str:

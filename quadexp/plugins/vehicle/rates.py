@@ -13,22 +13,26 @@ from typing import Any
 
 import numpy as np
 
+from quadexp.compile.symbolic import ca
 from quadexp.control.wrapped import innermost
 from quadexp.errors import UsageError
+from quadexp.physics.expression import Expression
 from quadexp.physics.state import RATE
 from quadexp.physics.vehicle import Vehicle
 
 Rates = Callable[[np.ndarray, np.ndarray], np.ndarray]  # state (13,), thrusts (n,) (N) -> rates (3,) (rad/s)
 
 
-def rates_of(text: str, controller: Any, ahead: float | None = None) -> Rates:
-    """Of --rates TEXT for the step that a controller has just made. ahead: see predicted_rates.
-
-    Raises UsageError for another text."""
+def rates_of(text: str, controller: Any) -> Rates:
+    """Of --rates TEXT for the step that a controller has just made. Raises UsageError for another text."""
     gain = rate_gain(text)
-    if gain is None:
-        return predicted_rates(controller, ahead)
-    return lambda x, thrusts: wanted_rates(controller.vehicle, x, thrusts, gain, controller.control_period)
+    return predicted_rates(controller) if gain is None else inverse_rates(controller, gain)
+
+
+def inverse_rates(controller: Any, gain: np.ndarray) -> Rates:
+    """Those that give the torque of the thrusts. gain: K, (3,) (1/s)."""
+    vehicle, period = controller.vehicle, controller.control_period
+    return lambda x, thrusts: np.array(wanted_rates(vehicle, x, thrusts, gain, period)).ravel()
 
 
 def predicted_rates(controller: Any, ahead: float | None = None) -> Rates:
@@ -37,7 +41,9 @@ def predicted_rates(controller: Any, ahead: float | None = None) -> Rates:
     Raises UsageError for a controller that predicts none."""
     core = innermost(controller)
     if not hasattr(core, "mpc") and getattr(core, "rates", None) is None:
-        raise UsageError("this controller predicts no body rates, as an MPC does: --rates inverse=X,Y,Z")
+        raise UsageError(
+            "this controller predicts no body rates, as an MPC does: --rates inverse=X,Y,Z; betaflight: or inverse"
+        )
 
     def predicted(x: np.ndarray, thrusts: np.ndarray) -> np.ndarray:
         if hasattr(core, "mpc"):
@@ -52,11 +58,13 @@ def predicted_rates(controller: Any, ahead: float | None = None) -> Rates:
     return predicted
 
 
-def rate_gain(text: str) -> np.ndarray | None:
-    """K of inverse=X,Y,Z (1/s), (3,); None for predicted."""
+def rate_gain(text: str, own: np.ndarray | None = None) -> np.ndarray | None:
+    """K of inverse=X,Y,Z (1/s), (3,); None for predicted. own: that of inverse alone, where the rate loop is known."""
     name, _, value = text.partition("=")
     if text == "predicted":
         return None
+    if text == "inverse" and own is not None:
+        return own
     try:
         gain = np.array([float(number) for number in value.split(",")])
     except ValueError:
@@ -66,11 +74,11 @@ def rate_gain(text: str) -> np.ndarray | None:
     return gain
 
 
-def wanted_rates(vehicle: Vehicle, x: np.ndarray, thrusts: np.ndarray, gain: np.ndarray, period: float) -> np.ndarray:
+def wanted_rates(vehicle: Vehicle, x: Any, thrusts: Any, gain: np.ndarray, period: float) -> Expression:
     """Body rates (3,) (rad/s) with which the rate loop gives the torque of these thrusts, (n,) (N), over a period (s).
 
     gain: K, (3,) (1/s)."""
-    J, rate = vehicle.inertia_matrix, x[RATE]
-    torque = vehicle.allocation[1:] @ thrusts - np.cross(rate, J @ rate)
-    share = -np.expm1(-gain * period)  # of the way to w* in a period
-    return rate + period * np.linalg.solve(J, torque) / share
+    J, rate = ca.DM(vehicle.inertia_matrix), ca.vertcat(x)[RATE]
+    torque = ca.DM(vehicle.allocation[1:]) @ ca.vertcat(thrusts) - ca.cross(rate, J @ rate)
+    share = ca.DM(-np.expm1(-gain * period))  # of the way to w* in a period
+    return rate + period * (ca.inv(J) @ torque) / share

@@ -19,6 +19,7 @@ from quadexp.experiment.rollout import SampledReference, fly
 from quadexp.world.integrator import SimulatedPlant
 
 MOST = 1500  # control instants of a recorded flight
+FAILED = 2  # what C answers to a step without an answer
 OF_LOOP = ("x", "inner", "u")  # arguments of a plant's period that the loop itself gives
 
 
@@ -33,7 +34,6 @@ class Recorder:
     def __init__(self, controller: Any, plant: Any, most: int) -> None:
         self.controller, self.plant, self.most = controller, plant, most
         self.rows = list[np.ndarray]()
-        self.statuses = list[int]()
         self.positions = list[np.ndarray]()
         self.contexts: list[np.ndarray] | None = [] if compiled_period(plant, controller.control_period) else None
         self.first = np.zeros(0)
@@ -48,9 +48,7 @@ class Recorder:
         if len(self.rows) == self.most:
             raise Enough
         thrusts, record = stepped(self.controller, measurement, window)
-        failed = int(record.status == Status.FAILED)
-        self.rows.append(vector(measurement, window, thrusts, 2 * failed))
-        self.statuses.append(2 * failed)
+        self.rows.append(vector(measurement, window, thrusts, FAILED if record.status == Status.FAILED else 0))
         return thrusts, record
 
     def _keep_period(self) -> None:

@@ -17,15 +17,10 @@ from quadexp.compile.memory import Memory
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Window
 from quadexp.control.control_step import in_calls
-from quadexp.control.inputs import Inputs, at_start
-from quadexp.control.laws.explicit import ExplicitController
-from quadexp.control.layer import Layer
-from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.mpc.dead_time import DeadTimePredictor
 from quadexp.control.wrapped import innermost, layers
 from quadexp.errors import QuadexpError, UsageError
 from quadexp.physics.state import ATTITUDE, N_STATE
-from quadexp.plugins.remedies.observers.observer import ObservingMPC
 
 TRIALS = 3  # states with which the function is compared with Python
 EQUAL = 1e-12  # relative difference of what both leave
@@ -44,9 +39,8 @@ def start_function(controller: Any, name: str) -> tuple[ca.Function | None, list
     places = list[np.ndarray]()
     for memory, values in _starts(controller, _elements(x), _elements(thrust)):
         for part, value in values.items():
-            if part in memory.sizes:
-                expressions.append(_column(value))
-                places.append(memory.of_now[part])
+            expressions.append(_column(value))
+            places.append(memory.of_now[part])
     if not places:
         return None, []
     names = [f"start_{i}" for i in range(len(places))]
@@ -60,74 +54,54 @@ def check_start(controller: Any, function: ca.Function | None, places: list[np.n
     """
     vehicle, rng = controller.vehicle, np.random.default_rng(0)
     planned = getattr(getattr(innermost(controller), "mpc", None), "memory", None)
+    memories = [memory for memory in controller.running.control_step.memory if memory is not planned]
     for _ in range(TRIALS):
         x = window.state[0] + 0.1 * rng.normal(size=N_STATE)
         x[ATTITUDE] /= np.linalg.norm(x[ATTITUDE])
         thrusts = rng.uniform(vehicle.thrust_min, vehicle.thrust_max, window.input.shape)
         controller.reset(x, window._replace(input=thrusts))
         first = thrusts[0] if len(thrusts) else np.full(vehicle.n_rotors, vehicle.hover_thrust)
-        expected = {
-            id(memory): memory.now.copy() for memory in controller.running.control_step.memory if memory is not planned
-        }
-        for memory in controller.running.control_step.memory:
-            if memory is not planned:
-                memory.now[...] = 0.0
+        expected = [memory.now.copy() for memory in memories]
+        for memory in memories:
+            memory.now[...] = 0.0
         if function is not None:
             for place, value in zip(places, function.call([x, first]), strict=True):
                 place[...] = np.array(ca.DM(value).full()).ravel()
-        for memory in controller.running.control_step.memory:
-            if memory is planned:
-                continue
-            before = expected[id(memory)]
+        for memory, before in zip(memories, expected, strict=True):
             if not np.allclose(memory.now, before, rtol=EQUAL, atol=EQUAL, equal_nan=True):
                 raise QuadexpError(f"export: what {memory.owner} remembers at the start of a flight is not understood")
 
 
 def _starts(controller: Any, x: np.ndarray, thrust: np.ndarray) -> Starts:
-    """Memory and values by name, of every layer."""
-    for layer in layers(controller):
-        if isinstance(layer, ObservingMPC):
-            wrapped: Any = layer.wrapped
-            estimator = wrapped.believed._estimator
-            commands = np.tile(thrust, estimator.delays.pending)
-            estimate = _traced(layer.part.begin, x)
-            start = {"commands": commands, "thrust": thrust, "sent": thrust, "estimate": estimate}
-            yield wrapped.believed.memory, start
-        elif hasattr(layer, "starts"):
-            yield from _traced(layer.starts, x, thrust)
-        elif isinstance(layer, Layer):
-            start = at_start(layer.vehicle, layer.about, thrust) if "sent" in layer.memory.sizes else {}
-            yield layer.memory, start | _traced(layer.part.start, Inputs(layer.vehicle, layer.about, ca.SX), x, thrust)
-        elif not in_calls(layer):
-            raise UsageError(f"export: {type(layer).__name__} exists in Python only")
+    """Memory and values by name, of every layer, of the controller inside and of its prediction."""
     core = innermost(controller)
-    if isinstance(core, PredictiveController):
-        if isinstance(core.predictor, DeadTimePredictor):
-            commands = np.tile(thrust, core.predictor._delays.pending)
-            yield core.predictor.memory, {"commands": commands, "thrust": thrust, "sent": thrust}
-    elif isinstance(core, ExplicitController):
-        start = _traced(core.law.start, core.vehicle, x)
-        sent = at_start(core.vehicle, core._about, thrust) if "sent" in core.memory.sizes else {}
-        yield core.memory, start | sent
-    else:
-        raise UsageError(f"export: {type(core).__name__} exists in Python only")
+    for part in (*layers(controller), core):
+        if hasattr(part, "starts"):
+            yield from _traced(part.starts, x, thrust)
+        elif not in_calls(part):
+            raise UsageError(f"export: {type(part).__name__} exists in Python only")
+    if isinstance(getattr(core, "predictor", None), DeadTimePredictor):
+        yield from core.predictor.starts(thrust)
 
 
-def _traced(start: Any, *arguments: Any) -> Any:
-    """What a `start` gives for symbols: as arrays of numpy, or where it cannot have these as columns of CasADi.
+def _traced(starts: Any, x: np.ndarray, thrust: np.ndarray) -> Any:
+    """What `starts` gives for symbols: for arrays of numpy, or where it cannot have these for columns of CasADi.
 
     Raises UsageError where it does with both what equations cannot."""
-    columns = [_column(argument) if isinstance(argument, np.ndarray) else argument for argument in arguments]
     reason = ""
-    for form in (arguments, columns):
+    for form in ((x, thrust), (_column(x), thrust), (_column(x), _column(thrust))):
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of functions of numpy on symbols, which are tried
-                return start(*form)
+                return starts(*form)
         except Exception as error:  # of whatever a user's code does
             reason = " ".join(str(error).split())[:160]
-    owner = type(getattr(start, "__self__", start)).__name__
-    raise UsageError(f"export: start of {owner}: cannot be written as equations: {reason}")
+    raise UsageError(f"export: start of {owner_of(starts.__self__)}: cannot be written as equations: {reason}")
+
+
+def owner_of(part: Any) -> str:
+    """The class that a user wrote."""
+    return type(getattr(part, "part", getattr(part, "law", part))).__name__
 
 
 def _elements(symbols: ca.SX) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from quadexp.experiment.rollout import SampledReference
 from quadexp.physics.state import N_STATE
 from quadexp.plugins.vehicle.arrays import span
-from quadexp.plugins.vehicle.generate import CHANGEABLE, HERE, Program
+from quadexp.plugins.vehicle.generate import CHANGEABLE, FLOAT, HERE, Program
 
 SOURCES = ("controller.c", "model.c", "mpc.c", "node.c", "table.c")
 FOLLOWED = 19  # numbers of path and heading at an instant
@@ -34,6 +34,12 @@ def named(exported: Program) -> dict[str, object]:
         "STATES": N_STATE,
         "PERIOD": controller.control_period,
     }
+
+
+def real_h(exported: Program) -> str:
+    """Precision and names, before every other line of C."""
+    functions = FLOAT.read_text(encoding="utf-8") if exported.names.real == "float" else ""
+    return filled("real.h", named(exported) | {"FLOAT": functions})
 
 
 def controller_h(exported: Program, about: Sequence[str], instants: int) -> str:

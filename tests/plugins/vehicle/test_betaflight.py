@@ -20,6 +20,7 @@ from quadexp.compile.compiler import compiler, run_compiler
 from quadexp.control.base import Measurement
 from quadexp.control.wrapped import innermost
 from quadexp.errors import QuadexpError, UsageError
+from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.evaluate import InfeasibleError, build_loop
 from quadexp.log.schema import Flight
 from quadexp.log.store import read_flight, write_flight
@@ -28,11 +29,13 @@ from quadexp.parts.compose import compose
 from quadexp.physics.state import RATE
 from quadexp.plugins.vehicle.betaflight.firmware import Firmware, channels_packet, firmware_file, state_packet
 from quadexp.plugins.vehicle.betaflight.flight import SETTINGS, Radio, Through, fly_betaflight, pulses, rotor_order
+from quadexp.plugins.vehicle.betaflight.rate_loop import axis_gains, law_margins
 from quadexp.plugins.vehicle.export import export_controller
 from quadexp.plugins.vehicle.rates import predicted_rates
 
 PRECISE = ("controller=perfect_mpc", "horizon=precise", "trajectory=circle", "trajectory.speed=4")
 LATE = ("link=latency", "link.latency=0.02")
+GEOMETRIC = ("controller=geometric", *PRECISE[2:])
 
 
 class StatePacket(ctypes.LittleEndianStructure):
@@ -146,11 +149,32 @@ def test_a_radio_that_is_slower_than_the_loop_tolerates_is_refused(tmp_path: Pat
         through(loop)
 
 
-def test_a_law_that_is_too_quick_for_the_firmware_is_refused(tmp_path: Path) -> None:
-    loop = build_loop(compose(("controller=geometric", *PRECISE[2:])), None)
+# A law's torque goes through the firmware's rate loop: its margins are of the loop with that in it.
+@pytest.mark.parametrize("rate", [100, 250])
+def test_a_law_whose_torque_the_firmware_makes_too_large_is_refused(tmp_path: Path, rate: int) -> None:
+    """Yaw turns seven times slower than stated: the law's heading is lost, 10 s into a flight."""
+    loop = build_loop(compose((*GEOMETRIC, f"controller.rate={rate}")), None)
     through = Through(Path("/nonexistent"), tmp_path, Radio(rates="inverse=25,25,10"))  # refused before it is started
-    with pytest.raises(InfeasibleError, match="50 ms late.* tolerates 47 ms: raise controller.rate"):
+    with pytest.raises(InfeasibleError, match="gains 36.6,38.2,1.43 1/s.*stable: --rates inverse"):
         through(loop)
+
+
+def test_a_law_flies_by_the_gains_of_the_firmware() -> None:
+    loop = build_loop(compose(GEOMETRIC), None)
+    margins = law_margins(loop, axis_gains(loop.vehicle), 0.0)
+    assert 0.01 < margins["delay"] < loop.margins["delay"] / 2
+    held = law_margins(loop, axis_gains(loop.vehicle), 0.005)["delay"]
+    assert held == pytest.approx(margins["delay"] - 0.005, abs=2e-3)
+    with pytest.raises(InfeasibleError, match="lower bandwidths"):
+        law_margins(loop, axis_gains(loop.vehicle), 0.02)
+
+
+def test_gains_of_an_axis_are_its_torque_over_its_inertia() -> None:
+    vehicle = build_vehicle(compose(["vehicle.torque_coefficient=0.026"]).vehicle)
+    once = build_vehicle(compose([]).vehicle)
+    assert np.allclose(axis_gains(vehicle) / axis_gains(once), [1, 1, 2])
+    share = np.degrees(1) * 0.032029 * 45 / 1000  # 1 rad/s in the firmware's units of its P of 45
+    assert axis_gains(once)[2] == pytest.approx(share * 4 * 20 * 0.013 / 0.06)  # 4 rotors of 20 N, yaw inertia
 
 
 def test_a_law_without_a_prediction_is_refused() -> None:
@@ -236,15 +260,27 @@ def test_a_late_radio_that_is_not_given_is_found(firmware: Path, grid: tuple[str
     assert error(flown(PRECISE[0], *grid, *PRECISE[2:], *LATE, "remedies=auto")) < 5
 
 
-@pytest.mark.parametrize(
-    "controller", [("controller=dfbc",), ("controller=geometric", "controller.attitude_bandwidth=[14,14,2]")]
-)
-def test_a_law_flies_by_the_rates_that_give_its_torque(firmware: Path, controller: tuple[str, ...]) -> None:
-    law = (*controller, "controller.rate=250", *PRECISE[2:])
+@pytest.mark.parametrize("law", [("controller=dfbc", "controller.rate=250", *PRECISE[2:]), GEOMETRIC])
+def test_a_law_flies_by_the_rates_that_give_its_torque(firmware: Path, law: tuple[str, ...]) -> None:
     bench = error(requests.simulate(law).flight)
-    first, again = (flown(*law, rates="inverse=25,25,10") for _ in range(2))
+    first, again = (flown(*law, rates="inverse") for _ in range(2))
     assert error(first) == pytest.approx(bench, rel=0.1)
     assert np.array_equal(first["p_x"], again["p_x"])
+
+
+def test_the_firmware_is_lost_where_its_rate_loop_says_so(firmware: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a radio that is 12 or 20 ms late: heading, which is the first to go."""
+
+    def most_turned(latency: float) -> float:
+        flight = flown(*GEOMETRIC, "link=latency", f"link.latency={latency}", rates="inverse")
+        heading = [2 * np.arctan2(flight[f"{of}q_z"], flight[f"{of}q_w"]) for of in ("", "ref_")]
+        return float(np.abs(np.angle(np.exp(1j * (heading[0] - heading[1])))).max())
+
+    assert most_turned(0.012) < 0.05
+    with pytest.raises(InfeasibleError, match="not stable at hover"):
+        most_turned(0.02)
+    monkeypatch.setattr("quadexp.plugins.vehicle.betaflight.flight.law_margins", lambda loop, *_: loop.margins)
+    assert most_turned(0.02) > 1.0
 
 
 def test_a_coarse_and_a_slow_radio_are_flown(firmware: Path) -> None:

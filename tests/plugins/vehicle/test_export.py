@@ -17,6 +17,9 @@ import pytest
 from quadexp import requests
 from quadexp.compile.compiler import run_compiler
 from quadexp.control.base import Measurement, Window
+from quadexp.control.control_step import stepped
+from quadexp.control.readings import ReadingGate
+from quadexp.control.wrapped import thrust_at_start
 from quadexp.errors import DataError, QuadexpError, UsageError
 from quadexp.experiment.build import build_vehicle
 from quadexp.experiment.rollout import SampledReference, fly
@@ -170,6 +173,12 @@ def test_single_precision_flies_as_well(tmp_path: Path, settings: tuple[str, ...
     done = run(tmp_path / "c")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "mine_step" in (tmp_path / "c" / "controller.h").read_text()
+    run(tmp_path / "c", "lib")
+    command = ["nm", "-g", "--defined-only", tmp_path / "c" / "libmine.a"]
+    listed = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    names = [line.split()[2].lstrip("_") for line in listed if line.count(" ") == 2]
+    assert "mine_step" in names
+    assert {name for name in names if not name.startswith("mine_")} == set()  # two libraries go into one program
 
 
 def test_a_folder_that_was_changed_is_refused(folders: dict[str, Path], tmp_path: Path) -> None:
@@ -231,6 +240,32 @@ def test_a_reading_may_be_missing_for_a_tenth_of_a_second(folders: dict[str, Pat
     statuses = [c.step(Measurement(0.0, x, nothing, None), window)[1].status for _ in range(12)]
     assert statuses[:10] == [0] * 10
     assert statuses[10:] == [3, 3]
+
+
+def test_missing_readings_are_treated_as_on_the_bench(folders: dict[str, Path]) -> None:
+    """Bursts of readings that do not come, or are no numbers, some longer than they may be."""
+    loop, c, rng = python_loop(*LAW), exported(folders["law"]), np.random.default_rng(3)
+    plant, reference, period = loop.plant, loop._reference, loop.period
+    x, force, last, kind = loop.start.copy(), None, thrust_at_start(reference.window(0), loop.vehicle), 0
+    noise = plant.begin(x, period, 20.0, rng)
+    gate = ReadingGate(4)
+    loop.controller.reset(x, reference.window(0))
+    c.reset(x, reference.window(0))
+    refusals = 0
+    for k in range(len(loop.times)):
+        kind = rng.integers(3) if k % 12 == 0 else kind  # 0.12 s
+        reading = (force, None, np.array([np.nan, 0.0, 9.8]))[kind]
+        measurement, window = Measurement(k * period, x, reading, None), reference.window(k)
+        thrusts, record = c.step(measurement, window)
+        try:
+            last = stepped(loop.controller, gate.admit(measurement), window)[0].copy()
+            assert record.status == 0
+        except QuadexpError:
+            refusals += 1
+            assert record.status == 3
+        assert np.abs(thrusts - last).max() < 1e-9
+        x, force = plant.advance(x, last, period, noise)
+    assert refusals > 10
 
 
 def test_a_state_that_is_none_begins_no_flight(folders: dict[str, Path]) -> None:

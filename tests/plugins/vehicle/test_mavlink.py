@@ -161,7 +161,7 @@ def test_rates_give_the_torque_of_the_thrusts() -> None:
     thrusts = rng.uniform(vehicle.thrust_min, vehicle.thrust_max, 4)
     assert gain is not None
     J, w = vehicle.inertia_matrix, x[10:]
-    wanted, rate, step = wanted_rates(vehicle, x, thrusts, gain, 0.01), w.copy(), 1e-6
+    wanted, rate, step = np.array(wanted_rates(vehicle, x, thrusts, gain, 0.01)).ravel(), w.copy(), 1e-6
     for _ in range(10_000):
         rate += step * gain * (wanted - rate)
     alpha = (rate - w) / 0.01  # in the mean

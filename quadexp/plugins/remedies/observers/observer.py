@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from quadexp.compile.backend import resolve
+from quadexp.compile.memory import Memory
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Controller, Window
 from quadexp.control.control_step import ControlStep, InputArrays, control_step_of
@@ -147,6 +148,10 @@ class ObservingMPC(WrappedController):
         """See Controller.reset: nothing is assumed of the world yet."""
         super().reset(x, window)
         self._world.reset(self.part.begin(x))
+
+    def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
+        """See Layer."""
+        return [(self._world.memory, self._world.start(self.part.begin(x), thrust))]
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step."""

@@ -27,8 +27,16 @@ from quadexp.parts.compose import compose
 from quadexp.parts.options import Folders
 from quadexp.physics.state import ATTITUDE, RATE
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.vehicle.betaflight.firmware import TICK, Firmware, channels_packet, firmware_file, state_packet
-from quadexp.plugins.vehicle.rates import Rates, rates_of
+from quadexp.plugins.vehicle.betaflight.firmware import (
+    HERE,
+    TICK,
+    Firmware,
+    channels_packet,
+    firmware_file,
+    state_packet,
+)
+from quadexp.plugins.vehicle.betaflight.rate_loop import axis_gains, law_margins
+from quadexp.plugins.vehicle.rates import Rates, inverse_rates, predicted_rates, rate_gain
 from quadexp.world.link import Latency
 from quadexp.world.streams import Streams, part_stream
 from quadexp.world.world import World
@@ -38,14 +46,7 @@ LOW, MIDDLE, HIGH = 1010, 1500, 2000  # us: throttle from which the mixer acts, 
 GROUND, ARMED, HOVERING = (6000, 1000, 500)  # ticks on the stand: throttle down, armed, first thrust
 MOST_STEPS = 1000  # of a throw: pulses are whole us
 EXACT = 1e-6  # ticks, by which a time may differ from whole ones
-AXES = ("roll", "pitch", "yaw")
-SETTINGS = (  # the vehicle of the bench: no idle thrust, linear rates; the rest as it comes
-    "set small_angle = 180", "set failsafe_delay = 20", "set runaway_takeoff_prevention = OFF", "set motor_idle = 0",
-    "set throttle_boost = 0", "set thr_mid = 50", "set thr_expo = 0", "set deadband = 0", "set yaw_deadband = 0",
-    f"set min_check = {LOW}", "set rates_type = ACTUAL", "aux 0 0 0 1700 2100 0 0",
-    *(f"set {axis}_{name} = {value:.0f}" for axis in AXES for name, value in
-      (("rc_rate", FULL / 10), ("srate", FULL / 10), ("expo", 0), ("rate_limit", 1998))),
-)  # fmt: skip
+SETTINGS = (HERE / "settings.txt").read_text(encoding="utf-8").splitlines()  # no idle thrust, linear rates of FULL
 QUADRANTS = ((1, -1), (-1, 1), (1, 1), (-1, -1))  # signs of x and y of the rotors in the order of the firmware's packet
 SPINS = (-1, -1, 1, 1)  # their reaction torques in its own order of propellers
 
@@ -120,26 +121,27 @@ class Through:
         if abs(period / TICK - round(period / TICK)) > EXACT:
             raise UsageError(f"fly betaflight: a control period of {period:g} s is no whole number of milliseconds")
         held = max(sent - period, 0.0) / 2  # s, in the mean, beyond the hold of a command
-        margins = dict(loop.margins)
-        if "delay" in margins:
-            tolerated = 1e3 * margins["delay"]  # ms
-            margins["delay"] = max(margins["delay"] - held, 0.0)
-            if held and not margins["delay"]:
-                raise InfeasibleError(
-                    f"--rc-rate {self.radio.rate:g}: pulses act {1e3 * held:.0f} ms later than commands; the loop"
-                    f" tolerates {tolerated:.0f} ms"
-                )
-            late = self.radio.ahead + period
-            if self.radio.rates != "predicted" and margins["delay"] < late:  # a prediction is sent that much earlier
-                raise InfeasibleError(
-                    f"--rates {self.radio.rates}: its torque comes {1e3 * late:.0f} ms late, by --ahead and a control"
-                    f" period; the loop tolerates {tolerated:.0f} ms: raise controller.rate, or lower its bandwidths"
-                )
-        rates = rates_of(self.radio.rates, loop.controller, self.radio.ahead)
+        gain = rate_gain(self.radio.rates, axis_gains(loop.vehicle))
+        if gain is None:
+            rates, margins = predicted_rates(loop.controller, self.radio.ahead), self._held(loop.margins, held)
+        else:
+            rates, margins = inverse_rates(loop.controller, gain), law_margins(loop, gain, held)
         order, turning = rotor_order(loop.vehicle)
         with Firmware(self.program, self.folder) as firmware:
             self.version = firmware.settings([*SETTINGS, *turning])
         return replace(loop, plant=Stacked(loop.plant, self.started, rates, self.radio, order), margins=margins)
+
+    def _held(self, margins: dict[str, Any], held: float) -> dict[str, Any]:
+        """Margins of the loop of a prediction, which is sent ahead of the firmware's delay: what pulses are held (s)
+        beyond a command is taken off. Raises InfeasibleError where that is too long."""
+        if not held or "delay" not in margins:
+            return margins
+        if margins["delay"] <= held:
+            raise InfeasibleError(
+                f"--rc-rate {self.radio.rate:g}: pulses act {1e3 * held:.0f} ms later than commands; the loop tolerates"
+                f" {1e3 * margins['delay']:.0f} ms"
+            )
+        return margins | {"delay": margins["delay"] - held}
 
     def started(self) -> Firmware:
         """The firmware, at its boot."""
