@@ -211,7 +211,7 @@ class Results(Frame):
         facet: str | Sequence[str] | None = None,
         kind: Literal["lines", "heat"] | None = None,
     ) -> Any:
-        """A matplotlib figure with any keys as axes, as `quadexp plot`: results.plot(x="controller.nodes").
+        """A matplotlib figure with any keys as axes: results.plot(x="controller.nodes").
 
         Without keys, what was swept chooses: error against speed, a panel a trajectory, a line a controller. by: a key
         for the lines. facet: for the panels. metric: a number of the flights.
@@ -226,7 +226,7 @@ class Results(Frame):
         return service("figure_of", "plot")(view)
 
     def flight(self, row: int = 0) -> Flight:
-        """The flight of a row, counted from 0 in this table: results[results["controller"] == "gp_mpc"].flight(0)."""
+        """The flight of a row, counted from 0 in this table: results[results["outcome"] == "ok"].flight(0)."""
         if not -len(self) <= row < len(self):
             raise UsageError(f"row {row}: the table has {len(self)} rows")
         if self._folder is None:
@@ -254,7 +254,7 @@ class Results(Frame):
 
 
 class Checkpoint:
-    """A checkpoint folder; goes wherever a path does: qx.simulate("controller=gp_mpc", model=checkpoint).
+    """A checkpoint folder; goes wherever a path does: qx.simulate("controller=linear_drag_mpc", model=checkpoint).
 
     path: the folder. model: what was fitted (quadexp/models/base.py). report: what the fit says of flights that it has
     not seen.

@@ -333,7 +333,7 @@ class TestOwnFolder:
             ),
             ("- name\n", "racer.yaml: must be a mapping"),
             ("", "vehicle=racer: its file names no class"),
-            ("defaults: [idle]\n", "vehicle=idle: there is no file vehicle/idle.yaml"),
+            ("defaults: [idle]\n", "vehicle=idle: no such vehicle; there are"),
             ("_target_: quadexp.world.simplified.Simplified\n", "Simplified: is a part of plant, not of vehicle"),
             (
                 "_target_: quadexp.physics.vehicle.Vehicle\nname: racer\nmass: 1.0\nrate_max: 9.0\n",
