@@ -137,12 +137,7 @@ class Flight(Frame):
 
     def plot(self, *columns: str) -> Any:
         """A matplotlib figure: the named columns over time, or path, position error and thrusts."""
-        missing = [name for name in columns or ("t", "p_x", "p_y", "p_z", "v_x", "v_y", "v_z") if name not in self]
-        if missing:
-            raise UsageError(f"the flight has no column {missing[0]!r} to draw")
-        if columns:
-            return service("over_time", "plot")(self.arrays(), columns, self.attrs.get("units", {}))
-        return service("flights_figure", "plot")({str(self.record.get("controller") or "flown"): self.arrays()})
+        return service("plot_flight", "plot")(self, columns)
 
 
 class Dataset(Frame):
@@ -219,11 +214,9 @@ class Results(Frame):
         from quadexp.report.frame import SweepFrame
 
         frame = SweepFrame(self.rows(), os.fspath(self._folder or "."), self.record)
-        lines = [by] if isinstance(by, str) else by
-        panels = [facet] if isinstance(facet, str) else facet
-        options: dict[str, Any] = {"x": x, "by": lines, "facet": panels, "kind": kind}
-        view = service("view", "plot")(frame, y=metric or self._metric(None), **options)
-        return service("figure_of", "plot")(view)
+        return service("plot_results", "plot")(
+            frame, y=metric or self._metric(None), x=x, by=by, facet=facet, kind=kind
+        )
 
     def flight(self, row: int = 0) -> Flight:
         """The flight of a row, counted from 0 in this table: results[results["outcome"] == "ok"].flight(0)."""

@@ -225,7 +225,7 @@ def _preload(cells: Sequence[Any], figures: bool) -> list[str]:
 
     parts = (part for cell in cells for part in (cell.config.trajectory, cell.config.controller))
     needed = {type(part).__module__ for part in parts if part.shipped}
-    drawing = [shipped_places("services")["flights_figure"].partition(":")[0], *DRAWING] if figures else []
+    drawing = [shipped_places("services")["plot_flight"].partition(":")[0], *DRAWING] if figures else []
     return [*PRELOAD, *sorted(needed), *drawing]
 
 

@@ -14,10 +14,8 @@ BRINGS = {
     },
     "services": {
         "paper_texts": "quadexp.plugins.page.sweep_latex:paper_texts",
-        "view": "quadexp.plugins.page.view:view",
-        "figure_of": "quadexp.plugins.page.draw:figure_of",
-        "flights_figure": "quadexp.plugins.page.flight_figures:flights_figure",
-        "over_time": "quadexp.plugins.page.flight_figures:over_time",
+        "plot_results": "quadexp.plugins.page.draw:plot_results",
+        "plot_flight": "quadexp.plugins.page.flight_figures:plot_flight",
         "sweep_figures": "quadexp.plugins.page.sweep_figures:SweepFigures",
     },
     "sections": {
