@@ -24,7 +24,7 @@ from quadexp.plugins.archive.verify import verify_results
 from quadexp.sweeps.engine import Task, fly_as_planned
 from quadexp.sweeps.plan import plan_cells
 from quadexp.sweeps.sweep import SweepRequest, run_sweep
-from tests.plugins.cluster.test_dask import make_checkpoint
+from tests.models.by_hand import make_checkpoint
 from tests.sweeps.cells import quick_cell
 
 FILES = {

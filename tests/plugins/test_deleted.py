@@ -9,9 +9,9 @@ import sys
 import pytest
 
 from quadexp.plugin import BRINGS, shipped_plugins
+from tests.deleted import needs
 from tests.faults.command import apart
 from tests.house import PACKAGE, ROOT, plugins
-from tests.plugins.logs.importers.logs import truth, ulog
 
 FLIGHT = ("controller=nominal_mpc", "trajectory=hover", "trajectory.duration=1")
 
@@ -50,7 +50,10 @@ def test_the_program_flies_without_it(name, checkout):
         assert refused.returncode == 2 and refused.stderr.count("\n") == 1 and word in refused.stderr, refused.stderr
 
 
+@needs("logs", "check")
 def test_logs_are_read_without_what_checks_them(checkout):
+    from tests.plugins.logs.importers.logs import truth, ulog
+
     folder, command = checkout
     shutil.rmtree(folder / "quadexp" / "plugins" / "check")
     ulog(folder / "a.ulg", truth(duration=5.0))
