@@ -28,15 +28,20 @@ def absent(options: Mapping[str, Any]) -> dict[str, str]:
     before = -1
     while len(reasons) > before:
         before = len(reasons)
-        for name in contents.keys() - reasons.keys():
-            if reason := _lacking(name.partition("/")[0], contents[name], reasons):
+        for name in sorted(contents.keys() - reasons.keys()):
+            reason = _lacking(name.partition("/")[0], contents[name], reasons)
+            if reason:
                 reasons[name] = reason
     return reasons
 
 
 def _absent_plugin(text: str) -> str:
     """The first plug-in that a text names and that is not there; "" where all are."""
-    return next((name for name in _PLUGIN.findall(text) if name not in shipped_plugins()), "")
+    there = shipped_plugins()
+    for name in _PLUGIN.findall(text):
+        if name not in there:
+            return str(name)
+    return ""
 
 
 def _lacking(group: str, content: Mapping[str, Any], reasons: Mapping[str, str]) -> str:
@@ -44,8 +49,10 @@ def _lacking(group: str, content: Mapping[str, Any], reasons: Mapping[str, str])
     if plugin := _absent_plugin(str(content)):
         return f"the plug-in quadexp/plugins/{plugin} is not there"
     for other, option in _named(group, content):
-        lacks = option != "none" and lacks_plugin(other)
-        if reason := LACKING if lacks else reasons.get(f"{other}/{option}"):
+        reason = reasons.get(f"{other}/{option}")
+        if option != "none" and lacks_plugin(other):
+            reason = LACKING
+        if reason:
             return f"{other}={option}: {reason}"
     return ""
 
@@ -53,12 +60,19 @@ def _lacking(group: str, content: Mapping[str, Any], reasons: Mapping[str, str])
 def _named(group: str, content: Mapping[Any, Any]) -> Iterator[tuple[str, str]]:
     """What may be options of other groups, or of this one: those that are extended, chosen, flown in a sweep."""
     for key, value in content.items():
-        other = {"defaults": group, "residual": "model"}.get(str(key).rpartition(".")[2], chosen_group(key))
+        other = chosen_group(key)
+        if key == "defaults":
+            other = group
+        elif other.rpartition(".")[2] == "residual":
+            other = "model"
         for item in value if isinstance(value, list) else [value]:
             if isinstance(item, Mapping):
                 yield from _named(group, item)
-            else:
-                yield from ((other, word.split()[0]) for word in str(item).split(",") if word.strip())
+                continue
+            for text in str(item).split(","):
+                words = text.split()
+                if words:
+                    yield other, words[0]
 
 
 def chosen_group(key: Any) -> str:
