@@ -1,5 +1,7 @@
 """Without a plug-in its options are not there, nor those that need one of them; who asks for one is told why."""
 
+import importlib
+
 import pytest
 
 from quadexp.errors import UsageError
@@ -39,7 +41,7 @@ def without(monkeypatch):
             "model=gaussian_process: the plug-in quadexp/plugins/gaussian_process is not there",
         ),
         ("neural", "controller=sum_mpc", "model=neural: the plug-in quadexp/plugins/neural is not there"),
-        ("papers", "experiment=adaptation", "plant=blade_element: the plug-in quadexp/plugins/papers is not there"),
+        ("papers", "experiment=adaptation", "controller=rls_mpc: the plug-in quadexp/plugins/papers is not there"),
     ],
 )
 def test_one_line_says_why_it_is_not_there(without, plugin, override, reason):
@@ -81,3 +83,11 @@ def test_an_own_option_of_its_name_is_there_and_one_that_extends_it_says_why_not
 
 def test_with_all_plugins_there_every_option_is_there():
     assert absent_options() == {} or len(shipped_plugins()) < 20
+
+
+def test_a_plugin_that_another_one_needs_is_named():
+    """Where code of a plug-in imports from one that is not there: as an error of import, and in one line."""
+    for name in ("quadexp.plugins.nowhere", "quadexp.plugins.nowhere.deeper"):
+        with pytest.raises(UsageError, match=r"^the plug-in quadexp/plugins/nowhere is not there$") as refused:
+            importlib.import_module(name)
+        assert isinstance(refused.value, ImportError) and refused.value.exit_code == 2
