@@ -123,9 +123,11 @@ class OptionFiles:
     def __init__(self, extra: Folders = None) -> None:
         self.folders = [*_resolved([*_resolved(extra), *plugin_folders().values(), conf_folder()])]
         self.definitions: dict[str, list[Definition]] = {}
+        *_, shipped = self.folders
         for place, folder in enumerate(self.folders):
+            out = absent_options() if folder == shipped else {}
             for name, definition in _stated(place, folder):
-                if folder != conf_folder() or name not in absent_options():
+                if name not in out:
                     self.definitions.setdefault(name, []).append(definition)
         self.entries = {name: first.entry for name, (first, *_) in self.definitions.items() if first.entry}
         self.groups: dict[str, list[str]] = {}
