@@ -8,7 +8,7 @@ QUADEXP := $(BIN)/quadexp
 # One BLAS thread per process: the sweep fills the cores by itself.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: all setup quick test test-full test-fast test-lowest test-python test-interpreted lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-ladder reproduce-sun reproduce-quick tuned leaderboard test-slow bench embedded clean
+.PHONY: all setup quick test test-full test-fast test-without test-lowest test-python test-interpreted lint docs coverage properties mutation stress reproduce reproduce-torrente reproduce-lei-li reproduce-ladder reproduce-sun reproduce-quick tuned leaderboard test-slow bench embedded clean
 
 all: quick
 
@@ -42,6 +42,10 @@ test-full: $(STAMP)
 test-fast: $(STAMP)
 	$(BIN)/python -m pytest -n $(TEST_PROCESSES) --dist worksteal -m 'not slow' tests/physics tests/properties \
 		tests/experiment/test_compiled_flight.py tests/models/test_contract.py tests/parts/test_parts.py tests/test_walk.py
+
+# The tests of the core with a plug-in deleted, in a copy: make test-without PLUGIN=worlds; several: PLUGIN='worlds laws'
+test-without: $(STAMP)
+	$(BIN)/python -m tests.without $(PLUGIN) -- -n $(TEST_PROCESSES) --ignore-glob=*/plugins/*/* tests examples
 
 # A selection with the lowest versions that pyproject.toml admits, in an environment of its own.
 LOWEST := $(VENV)-lowest

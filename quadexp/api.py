@@ -92,7 +92,7 @@ def fit(
 ) -> Checkpoint:
     """Fit a model of the air, as `quadexp fit`.
 
-    model: an option of the group `model`, "gaussian_process" or one of your own. data: a data set, or its file. A
+    model: an option of the group `model`, "linear_drag" or one of your own. data: a data set, or its file. A
     keyword that is no key of the configuration is one of the model: inducing=40. out: a folder.
     Raises DataError where the data are of another vehicle than the configuration.
     """
@@ -121,7 +121,7 @@ def sweep(
 ) -> Results:
     """Fly every combination of the values given, on all cores, as `quadexp evaluate --sweep`.
 
-    A list is several values, controller=["nominal_mpc", "gp_mpc"] or seed=range(3); a value that is itself a list
+    A list is several values, controller=["nominal_mpc", "perfect_mpc"] or seed=range(3); a value that is itself a list
     stands in a list. out: a folder of results, where a sweep goes on that was interrupted; else the flights are kept
     for as long as the table. old: cells at `out` flown by other sources than these: refuse, fly again, or keep.
     Returns a row a flight; of one that could not be flown `outcome` and `cause` say why.

@@ -137,12 +137,7 @@ class Flight(Frame):
 
     def plot(self, *columns: str) -> Any:
         """A matplotlib figure: the named columns over time, or path, position error and thrusts."""
-        missing = [name for name in columns or ("t", "p_x", "p_y", "p_z", "v_x", "v_y", "v_z") if name not in self]
-        if missing:
-            raise UsageError(f"the flight has no column {missing[0]!r} to draw")
-        if columns:
-            return service("over_time", "plot")(self.arrays(), columns, self.attrs.get("units", {}))
-        return service("flights_figure", "plot")({str(self.record.get("controller") or "flown"): self.arrays()})
+        return service("plot_flight", "plot")(self, columns)
 
 
 class Dataset(Frame):
@@ -211,7 +206,7 @@ class Results(Frame):
         facet: str | Sequence[str] | None = None,
         kind: Literal["lines", "heat"] | None = None,
     ) -> Any:
-        """A matplotlib figure with any keys as axes, as `quadexp plot`: results.plot(x="controller.nodes").
+        """A matplotlib figure with any keys as axes: results.plot(x="controller.nodes").
 
         Without keys, what was swept chooses: error against speed, a panel a trajectory, a line a controller. by: a key
         for the lines. facet: for the panels. metric: a number of the flights.
@@ -219,14 +214,12 @@ class Results(Frame):
         from quadexp.report.frame import SweepFrame
 
         frame = SweepFrame(self.rows(), os.fspath(self._folder or "."), self.record)
-        lines = [by] if isinstance(by, str) else by
-        panels = [facet] if isinstance(facet, str) else facet
-        options: dict[str, Any] = {"x": x, "by": lines, "facet": panels, "kind": kind}
-        view = service("view", "plot")(frame, y=metric or self._metric(None), **options)
-        return service("figure_of", "plot")(view)
+        return service("plot_results", "plot")(
+            frame, y=metric or self._metric(None), x=x, by=by, facet=facet, kind=kind
+        )
 
     def flight(self, row: int = 0) -> Flight:
-        """The flight of a row, counted from 0 in this table: results[results["controller"] == "gp_mpc"].flight(0)."""
+        """The flight of a row, counted from 0 in this table: results[results["outcome"] == "ok"].flight(0)."""
         if not -len(self) <= row < len(self):
             raise UsageError(f"row {row}: the table has {len(self)} rows")
         if self._folder is None:
@@ -254,7 +247,7 @@ class Results(Frame):
 
 
 class Checkpoint:
-    """A checkpoint folder; goes wherever a path does: qx.simulate("controller=gp_mpc", model=checkpoint).
+    """A checkpoint folder; goes wherever a path does: qx.simulate("controller=linear_drag_mpc", model=checkpoint).
 
     path: the folder. model: what was fitted (quadexp/models/base.py). report: what the fit says of flights that it has
     not seen.

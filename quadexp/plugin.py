@@ -33,6 +33,10 @@ Of these a name stands for words, and no place:
                anything else is imported, so those of installed packages do not count
     reads      what a command reads of the configuration (quadexp/parts/reads.py)
     spellings  a word for a kind of models, for one release more, of `fit-WORD` and WORD.KEY -> that kind
+    modules    the name that a module had, for one release more -> its name
+    kinds      a kind of tables -> the command that makes it, and what it is called
+    templates  what `quadexp new` begins -> example, option and class of it (quadexp/cli/extend.py)
+    advice     what is asked for -> the end of a message that it is not there, with {} for its place
 
 A name of this program is looked for first, so that what ships needs no look at what is installed. That look reads the
 files entry_points.txt of sys.path itself: importlib.metadata, which does the same, takes as long to import as all the
@@ -85,6 +89,12 @@ BRINGS: dict[str, dict[str, str]] = {
     },
     "services": {},
     "spellings": {"drag": "linear_drag"},
+    "kinds": {
+        "flight": "simulate a flight",
+        "residuals": "collect a data set",
+        "results": "evaluate a table of results",
+        "statistics": "evaluate a table of statistics",
+    },
     "papers": {},
 }
 
@@ -147,6 +157,11 @@ def service(name: str, wanted: str) -> Any:
     if brought_service is None:
         raise UsageError(f"{wanted}: no installed plug-in has {name!r} (quadexp/plugins)")
     return brought_service
+
+
+def advice(name: str, place: object) -> str:
+    """What a plug-in can do for what is not there, as the end of a message; "" without it."""
+    return shipped_places("advice").get(name, "").format(place)
 
 
 def _found(place: str) -> Any:

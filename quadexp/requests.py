@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from quadexp.errors import UsageError
 from quadexp.names import file_name
-from quadexp.plugin import brought, service, shipped_places
+from quadexp.plugin import advice, brought, service, shipped_places
 from quadexp.writer import check_output
 
 if TYPE_CHECKING:
@@ -55,14 +55,10 @@ def simulate(
     from quadexp.log.store import write_flight
     from quadexp.parts.compose import session
     from quadexp.report.metrics import declare_parts, measured
-    from quadexp.report.summary import world_note
 
     if out is not None and out.suffix in FOREIGN:
         parquet = out.with_suffix(".parquet")
-        raise UsageError(
-            f"--out {out}: a flight is written as Parquet; write {parquet}, then quadexp export {parquet}, which makes"
-            " other formats of it"
-        )
+        raise UsageError(f"--out {out}: a flight is written as Parquet; write {parquet}{advice('formats', parquet)}")
     with session(conf) as composer:
         config = composer.compose(overrides, "simulate")
         declare_parts(composer.every("metric"))
@@ -73,8 +69,9 @@ def simulate(
     if path is not None:
         write_flight(path, flight, force=force)
     about = flight.metadata
-    notes = [note for note in (about["reference_note"], world_note(about["margins"])) if note]
-    return Flown(flight, path, [*_of_models([config]), *notes])
+    of_margins = brought("services", "margin_texts")
+    notes = [about["reference_note"], of_margins.world_note(about["margins"]) if of_margins else ""]
+    return Flown(flight, path, [*_of_models([config]), *filter(None, notes)])
 
 
 class Swept(NamedTuple):
@@ -97,7 +94,8 @@ class Evaluation:
     """What is asked of `evaluate`; overrides, out, conf, force: see the module.
 
     sweep: every cell of a sweep, or one cell. figures: None for those of a sweep only. old: cells at `out` flown by
-    other sources than these: refuse, fly again, or keep. watch: a page that shows the sweep while it runs.
+    other sources than these: refuse, fly again, or keep. watch: makes of `out` and of the metric of its table what
+    shows the sweep while it runs, a context.
     """
 
     overrides: Overrides = ()
@@ -107,7 +105,7 @@ class Evaluation:
     figures: bool | None = None
     old: Literal["ask", "refly", "keep"] = "ask"
     force: bool = False
-    watch: bool = False
+    watch: Callable[[Path, str], Any] | None = None
 
 
 def evaluate(
@@ -161,7 +159,7 @@ def evaluate(
     with contextlib.ExitStack() as ended:
         watching: Any = None
         if asked.watch:
-            watching = ended.enter_context(service("watch", "--watch")(out, settings.metric))
+            watching = ended.enter_context(asked.watch(out, settings.metric))
         workers = Workers(settings.workers, settings.memory or None, preload, calls=FIGURES if figures else 1)
         processes = ended.enter_context(workers)
         if drawn_by:
@@ -227,7 +225,7 @@ def _preload(cells: Sequence[Any], figures: bool) -> list[str]:
 
     parts = (part for cell in cells for part in (cell.config.trajectory, cell.config.controller))
     needed = {type(part).__module__ for part in parts if part.shipped}
-    drawing = [shipped_places("services")["flights_figure"].partition(":")[0], *DRAWING] if figures else []
+    drawing = [shipped_places("services")["plot_flight"].partition(":")[0], *DRAWING] if figures else []
     return [*PRELOAD, *sorted(needed), *drawing]
 
 

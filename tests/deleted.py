@@ -13,7 +13,7 @@ from quadexp.plugin import shipped_plugins
 from tests.house import PLUGIN_FLOORS, ROOT
 
 DELETED = frozenset(name for floor in PLUGIN_FLOORS for name in floor) - set(shipped_plugins())
-NAMED = re.compile(rf"quadexp[./]plugins[./]({'|'.join(sorted(DELETED))})\b")
+NAMED = re.compile(rf"(?:quadexp|tests)[./]plugins[./]({'|'.join(sorted(DELETED))})\b")
 # What the program says, beside naming the module: of a service, a command, a name of the Python API.
 SAYS_SO = ("no installed plug-in", "No such command", "No such option", "module 'quadexp' has no attribute")
 

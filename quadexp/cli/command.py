@@ -3,9 +3,8 @@
     @command
     def simulate(overrides: Overrides = None, out: OptionalOut = None, asked: Simulate = Simulate()) -> Answer: ...
 
-A parameter's annotation says its help (`Ask`); a record of settings, such as that of `quadexp tune`, stands for an
-option each of its keys. Every command has --format and --json, and returns what it found as an Answer, which is printed
-as they ask.
+A parameter's annotation says its help (`Ask`); a record of settings stands for an option each of its keys. Every
+command has --format and --json, and returns what it found as an Answer, which is printed as they ask.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from keyword import iskeyword
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
 
@@ -95,7 +95,8 @@ class Command:
         """What plug-ins have this command do instead, by the parameter that asks for it."""
         prefix = f"{self.name} --"
         keys = [key for key in shipped_places("alternatives") if key.startswith(prefix)]
-        return {key.removeprefix(prefix): brought("alternatives", key) for key in keys}
+        names = {key: key.removeprefix(prefix) for key in keys}
+        return {name + "_" * iskeyword(name): brought("alternatives", key) for key, name in names.items()}
 
     def typed(self) -> Callable[..., None]:
         """As a function that typer takes, whose signature has its words and options, and those of its alternatives."""
@@ -145,22 +146,22 @@ class Command:
         something is given that only another one takes."""
         asked = [name for name in self.alternatives if values[name]]
         if len(asked) > 1:
-            raise UsageError(f"{self.name}: {' and '.join(f'--{name}' for name in asked)}: one at a time")
+            raise UsageError(f"{self.name}: {' and '.join(map(_flag, asked))}: one at a time")
         function = self.alternatives[asked[0]] if asked else self.function
         takes = inspect.signature(function).parameters
         for name, value in values.items():
             if value and name not in (*takes, "form"):
-                self._refuse(name, value, f"--{asked[0]}" if asked else "")
+                self._refuse(name, value, _flag(asked[0]) if asked else "")
         return function(**{name: values[name] for name in takes})
 
     def _refuse(self, name: str, value: Any, asked: str) -> None:
         """UsageError for a parameter that what was asked for does not take. asked: its option, "" for none."""
-        given = f"--{name}" if value is True else f"--{name} {value}"
+        given = _flag(name) if value is True else f"{_flag(name)} {value}"
         if isinstance(value, tuple):
             given = " ".join(map(str, value))
         if asked and name in inspect.signature(self.function).parameters:
             raise UsageError(f"{self.name}: {given}: is not used by {asked}; give that alone")
-        takes = [f"--{n}" for n, f in self.alternatives.items() if name in inspect.signature(f).parameters]
+        takes = [_flag(n) for n, f in self.alternatives.items() if name in inspect.signature(f).parameters]
         raise UsageError(f"{self.name}: {given}: is for {' or '.join(takes)}")
 
     def _help(self) -> str:
@@ -181,6 +182,11 @@ def command(function: Callable[..., Answer], **asked: Ask) -> Command:
     return Command(name, function, asked, function.__globals__.get("HEADING", PLUGINS))
 
 
+def _flag(name: str) -> str:
+    """The option of a parameter; that of `if_` is --if."""
+    return f"--{name.rstrip('_').replace('_', '-')}"
+
+
 def _parameter(name: str, kind: Any, ask: Ask, default: Any) -> inspect.Parameter:
     """An option, or a word. kind: of its value; a tuple is repeatable."""
     if get_origin(kind) is tuple:
@@ -194,7 +200,7 @@ def _parameter(name: str, kind: Any, ask: Ask, default: Any) -> inspect.Paramete
     if ask.word or (default is inspect.Parameter.empty and not ask.flag):
         about: Any = typer.Argument(**options)
     else:
-        about = typer.Option(*(ask.flag.split() or [f"--{name.replace('_', '-')}"]), **options, min=ask.least)
+        about = typer.Option(*(ask.flag.split() or [_flag(name)]), **options, min=ask.least)
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, about])
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 
 from quadexp.cli.command import Answer, Ask, Conf, command
 from quadexp.errors import UsageError
-from quadexp.plugin import service
+from quadexp.plugin import shipped_places
 from quadexp.writer import check_output, write_text
 
 HEADING = "Extend"
@@ -30,7 +30,7 @@ def options(
     quadexp options
     quadexp options wind
     quadexp options wind=gust
-    quadexp options delay
+    quadexp options latency
     """
     from quadexp.parts.listing import listed
 
@@ -93,32 +93,24 @@ TEMPLATES = {
     "plant": Template("motor_lag", "plant/NAME", words="MotorLag"),
     "model": Template("cubic_drag", "controller/NAME_mpc", words="CubicDrag", model=True),
     "controller": Template("geometric", "controller/NAME", words="Geometric"),
-    "remedy": Template("height_integral", "adaptive/NAME", words="HeightIntegral"),
 }
+for _part, _words in shipped_places("templates").items():
+    _example, _option, _class = _words.split()
+    TEMPLATES[_part] = Template(_example, _option, words=_class)
 FORMER = {"residual": "model"}  # words of the release before
+NewPart = Annotated[str, Ask(f"What to begin: {', '.join(TEMPLATES)}.", "PART")]
+NewName = Annotated[str, Ask("Name of module, option and test: a Python identifier.", "NAME")]
+To = Annotated[Path, Ask("A configuration folder, given to other commands by --conf.", "DIR")]
 
 
 @command
-def new(
-    part: Annotated[str, Ask(f"What to begin: {', '.join(TEMPLATES)}.", "PART")],
-    name: Annotated[str, Ask("Name of module, option and test: a Python identifier.", "NAME")],
-    to: Annotated[Path, Ask("A configuration folder, given to other commands by --conf.", "DIR")] = Path("my_parts"),
-    source: Annotated[
-        str | None, Ask("A vehicle: the file of crazyflow (.toml) or RotorPy (.py).", "FILE[:SECTION]", "--from")
-    ] = None,
-) -> Answer:
+def new(part: NewPart, name: NewName, to: To = Path("my_parts")) -> Answer:
     """Begin a part of your own: a module, its option, and a test that passes, to be changed step by step.
-
-    A vehicle with --from has the numbers of another program's file; a RotorPy file is Python, and is run.
 
     \b
     quadexp new trajectory spiral --to my_parts
     quadexp new model flapping
-    quadexp new vehicle racer --from params.toml:racer
     """
-    if source is not None:
-        answer: Answer = service("new_vehicle", f"new {part} --from {source}")(part, name, source, to)
-        return answer
     notes = [f"new {part}: is `new {FORMER[part]}` now"] if part in FORMER else []
     part = FORMER.get(part, part)
     if part not in TEMPLATES:
@@ -175,16 +167,13 @@ def check_name(part: str, name: str, template: Template, to: Path) -> None:
     from importlib.util import find_spec
 
     from quadexp.parts.models import is_shipped
-    from quadexp.parts.options import LACKING, groups
-    from quadexp.parts.schema import lacks_plugin
+    from quadexp.parts.options import groups
 
     if not NAME.fullmatch(name) or keyword.iskeyword(name) or keyword.issoftkeyword(name):
         raise UsageError(f"new {part}: {name!r} is not a valid name of a module: a letter, then letters, digits or _")
     if name.lower() in WORDS:
         raise UsageError(f"new {part}: {name!r} means something else in YAML, on the command line or to pytest")
     group, option = template.named(name)
-    if lacks_plugin(group):
-        raise UsageError(f"new {part}: {group}: {LACKING}")
     for where, there in ((group, option), *([("model", name)] if template.model else [])):
         if there in groups().get(where, ()):
             raise UsageError(f"new {part}: there is {where}={there} already: choose another name")

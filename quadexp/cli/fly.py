@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shlex
-from typing import Annotated, Literal
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Overrides, command
 from quadexp.cli.terminal import say
@@ -18,7 +20,7 @@ def simulate(overrides: Overrides = (), out: OptionalOut = None, conf: Conf = ()
     """Fly one configuration and write the flight.
 
     \b
-    quadexp simulate controller=gp_mpc trajectory=circle trajectory.speed=8 model=models/gp seed=0 --out runs/a.parquet
+    quadexp simulate controller=nominal_mpc trajectory=circle trajectory.speed=8 seed=0 --out runs/a.parquet
     """
     from quadexp import requests
     from quadexp.report.summary import flight_lines
@@ -29,19 +31,22 @@ def simulate(overrides: Overrides = (), out: OptionalOut = None, conf: Conf = ()
     return Answer(record, [{**about["row"], "path": path}], [*flight_lines(about), path], notes)
 
 
+Sweep = Annotated[bool, Ask("Fly every combination of the values given.", flag="--sweep --multirun -m")]
+Figures = Annotated[bool | None, Ask("Draw figures (default: only for a sweep).", flag="--figures/--no-figures")]
+Refly = Annotated[bool, Ask("Fly cells of other sources again.")]
+KeepOld = Annotated[bool, Ask("Keep cells of other sources in the table.")]
+
+
 @command
 def evaluate(
     overrides: Overrides = (),
-    sweep: Annotated[bool, Ask("Fly every combination of the values given.", flag="--sweep --multirun -m")] = False,
+    sweep: Sweep = False,
     out: OptionalOut = None,
-    figures: Annotated[
-        bool | None, Ask("Draw figures (default: only for a sweep).", flag="--figures/--no-figures")
-    ] = None,
+    figures: Figures = None,
     conf: Conf = (),
-    refly: Annotated[bool, Ask("Fly cells of other sources again.")] = False,
-    keep_old: Annotated[bool, Ask("Keep cells of other sources in the table.")] = False,
+    refly: Refly = False,
+    keep_old: KeepOld = False,
     force: Force = False,
-    watch: Annotated[bool, Ask("Show the sweep while it runs: a table here, and a page in a file.")] = False,
 ) -> Answer:
     """Fly one cell, or every cell of a sweep, and write the table of results.
 
@@ -50,17 +55,21 @@ def evaluate(
 
     \b
     quadexp evaluate --sweep trajectory=circle,lemniscate trajectory.speed=4,8,12 \\
-        controller=nominal_mpc,linear_drag_mpc,gp_mpc,perfect_mpc seed='range(3)' --out results/table1
-    quadexp evaluate --sweep controller='nominal_mpc,dfbc rate_loop=indi,pid adaptive=l1' trajectory=circle
-    quadexp evaluate --sweep experiment=torrente_table1
-    quadexp evaluate --sweep experiment=torrente_table1 --watch
+        controller=nominal_mpc,linear_drag_mpc,perfect_mpc seed='range(3)' --out results/table1
+    quadexp evaluate --sweep controller='nominal_mpc,perfect_mpc horizon=firm' trajectory=circle
     """
+    return evaluated(overrides, sweep, out, figures, conf, refly, keep_old, force)
+
+
+def evaluated(
+    overrides: Sequence[str], sweep: bool, out: Path | None, figures: bool | None, conf: Sequence[Path], refly: bool,
+    keep_old: bool, force: bool, watch: Callable[[Path, str], Any] | None = None,
+) -> Answer:  # fmt: skip
+    """What `quadexp evaluate` answers. watch: see requests.Evaluation."""
     from quadexp import requests
 
     if refly and keep_old:
         raise UsageError("--refly and --keep-old: give one of them")
-    if watch and not sweep:
-        raise UsageError("--watch is for a sweep: add --sweep")
     old: Literal["ask", "refly"] = "refly" if refly else "ask"
     asked = requests.Evaluation(
         overrides=overrides, out=out, conf=conf, sweep=sweep, figures=figures, old="keep" if keep_old else old,

@@ -20,7 +20,7 @@ HEADING = "Learn"
 def collect(
     overrides: Overrides = (),
     out: Out = Path("data/residuals.parquet"),
-    flight: Annotated[tuple[Path, ...], Ask("Use this recorded flight; repeatable.", "PATH", "--flight")] = (),
+    flight: Annotated[tuple[Path, ...], Ask("Use this flight, not new ones; repeatable.", "PATH", "--flight")] = (),
     save_flights: Annotated[Path | None, Ask("Write the flights too.", "DIR")] = None,
     sweep: Annotated[bool, Ask("Fly in every combination of the worlds given, one after another.")] = False,
     conf: Conf = (),
@@ -71,9 +71,8 @@ def fit(
     """Fit a model of the air to a data set and write the checkpoint.
 
     \b
-    quadexp fit gaussian_process data/residuals.parquet --out models/gp
-    quadexp fit gp_per_axis data/residuals.parquet model.inducing=40 --out models/gp40
-    quadexp fit neural data/residuals.parquet model.hidden=[24,24] model.spectral=8
+    quadexp fit linear_drag data/residuals.parquet --out models/drag
+    quadexp fit linear_drag data/residuals.parquet model.loss=squares model.thrust=false --out models/published
     """
     return _fit(model, dataset, overrides, out, figures, after, conf, force)
 

@@ -20,7 +20,7 @@ COLUMNS = ("trajectory", "speed", "plant", "controller", "model", "variant", "se
 FAILED_COLUMNS = (*COLUMNS[:-2], "cause")
 Folder = Annotated[Path, Ask("A folder of `quadexp evaluate`.", "DIR")]
 Filters = Annotated[
-    tuple[str, ...], Ask("Only these rows, such as controller='gp_*' or seed=0,1", "KEY=VALUE", word=True)
+    tuple[str, ...], Ask("Only these rows, such as controller='*_mpc' or seed=0,1", "KEY=VALUE", word=True)
 ]
 Where = Annotated[str | None, Ask("Only these rows: 'speed > 6'; see above.", "CONDITION")]
 Sort = Annotated[str | None, Ask("Sort by these columns; -KEY for descending order.", "KEYS")]
@@ -70,7 +70,7 @@ def results(
 ) -> Answer:
     """List, filter, sort and prune the flights of a sweep.
 
-    A column is one of the table or any key of the configuration (controller.nodes). KEY=VALUE takes patterns (gp_*)
+    A column is one of the table or any key of the configuration (controller.nodes). KEY=VALUE takes patterns (*_mpc)
     and null. --where knows == != < <= > >=, and, or, not, in [A, B], and brackets; a number has the unit of the table's
     column, or its own: mean_error < 5mm.
 
@@ -78,9 +78,9 @@ def results(
     those that match; without --yes it only lists them.
 
     \b
-    quadexp results results/table1 --where "controller == gp_mpc and speed > 6" --sort mean_error --limit 10
+    quadexp results results/table1 --where "controller == linear_drag_mpc and speed > 6" --sort mean_error --limit 10
     quadexp results results/table1 --columns controller,controller.nodes,seed,mean_error --format csv
-    quadexp results results/table1 controller=gp_mpc trajectory.speed=8 --json
+    quadexp results results/table1 controller=linear_drag_mpc trajectory.speed=8 --json
     quadexp results results/table1 --failures
     quadexp results results/table1 sources=78f30eeaa2be
     quadexp results results/table1 --prune --yes

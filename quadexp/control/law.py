@@ -13,7 +13,7 @@
 
 The equations are written once, in CasADi, and called when the controller is built. From them follow its step in C, the
 delays that its loop tolerates, its columns, and every compensation: observers, where they read a belief, L1, INDI,
-predictions of delays, remedies=auto.
+predictions of delays.
 
 World ENU, body FLU, SI.
 """

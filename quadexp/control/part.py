@@ -14,8 +14,8 @@ from quadexp.parts.part import Part
 from quadexp.parts.settings import Setting, key, keyed
 from quadexp.parts.user_modules import own_folders
 
-WITHOUT_CHECKPOINT = ("none", "plant", "terms", "blade_element")  # models of the air that are not learned from flights
-RESIDUAL = Setting("model that is added to the rigid body in the prediction", options="model", also=("none", "plant"))
+GIVEN = ("none", "plant")  # models of the air that are not learned from flights
+RESIDUAL = Setting("model that is added to the rigid body in the prediction", options="model", also=GIVEN)
 
 
 @keyed
@@ -24,7 +24,7 @@ class ControllerPart(Part):
 
     prefix = "controller."
     added: ClassVar[tuple[str, ...]] = ("allow_unstable",)
-    makes: ClassVar[str] = ""  # the command that makes what `model` names, where that is no model of the air
+    given: ClassVar[tuple[str, ...]] = GIVEN  # its models of the air that come from no checkpoint
 
     models: tuple[str, ...] = key((), "checkpoint folders that are tried, in this order, when `model` is not given")
     allow_unstable: bool = key(False, "fly although the loop is not stable at hover")
@@ -38,7 +38,7 @@ class ControllerPart(Part):
     @property
     def learned(self) -> tuple[str, ...]:
         """Those of them that come from a checkpoint."""
-        return tuple(kind for kind in self.kinds if kind not in WITHOUT_CHECKPOINT)
+        return tuple(kind for kind in self.kinds if kind not in self.given)
 
     @property
     def folders(self) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from quadexp.control.part import WITHOUT_CHECKPOINT
+from quadexp.control.part import GIVEN
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identity import MODEL_FILE, ModelFile, part_identity
 from quadexp.models.build_context import BuildContext
@@ -287,7 +287,7 @@ def residuals(kinds: Iterable[str], vehicle: Vehicle, model: ModelFile | None) -
             raise UsageError(f"{file.path}: holds {checkpoint.kind}, not {kind}, which {maker(kind)} makes")
         return replace(checkpoint.residual(vehicle, file.path), ranges=checkpoint.feature_range)
 
-    files = zip((kind for kind in kinds if kind not in WITHOUT_CHECKPOINT), model.files if model else (), strict=False)
+    files = zip((kind for kind in kinds if kind not in GIVEN), model.files if model else (), strict=False)
     record = ["residual", vehicle.fingerprint]
     return [cached([*record, kind, file.sha256], partial(of_file, kind, file)) for kind, file in files]
 

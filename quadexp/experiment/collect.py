@@ -29,7 +29,6 @@ from quadexp.experiment.vehicle_of import refuse_repeated
 from quadexp.log.outcome import COMPLETED
 from quadexp.log.schema import Flight, is_recorded
 from quadexp.log.store import read_flight, write_flight, write_table
-from quadexp.models.checkpoint import load_model
 from quadexp.models.dataset import ResidualDataset, as_told, known_noise, residual_dataset
 from quadexp.models.residual import VELOCITY
 from quadexp.names import without
@@ -44,7 +43,6 @@ from quadexp.reference.random_polynomial import RandomPolynomial
 PEAK_OVER_MEAN = 35 / 16  # speed of the minimum-snap move from rest to rest, 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7
 DRAWS = 50  # attempts to draw a path that can be flown
 OF_RECORDED = ("target", "identified")  # keys of `collect` for recorded flights only
-OF_TIMING = ("vehicle", "plant", "truth", "link", "actuator", "health", "sensor", "estimator")  # decide lag and delays
 LOST_DISTANCE = 1e3  # m; large, because a jump of the set-point must not end the flight
 # Share of collect.duration by which the last path may end later; of a longer one the beginning is flown.
 OVERTIME = 0.05
@@ -195,19 +193,8 @@ def _rows(
         flights = [as_told(flight) for flight in flights]
     if settings.target in ("auto", "velocity") and settings.identified is None and not any(recorded):
         return _simulated_rows(config, vehicle, flights, names)
-    of_logs = service("recorded_flights", "collect")
-    if settings.identified is not None:
-        model = load_model(settings.identified, vehicle=vehicle, unknown=True)
-        if not hasattr(model, "thrust"):
-            said = f"collect.identified={settings.identified}: has no thrust curve"
-            raise UsageError(f"{said}; give a folder written by `quadexp identify`")
-        curve = model.thrust
-    else:
-        curve = of_logs.logged_thrust(flights, vehicle)
-    target = "specific_force" if settings.target == "auto" else settings.target
-    noisy = "warning: the target is the derivative of an estimated velocity, with its filter and noise"
-    dataset = of_logs.recorded_dataset(flights, vehicle, curve, target=target, frame=settings.frame, names=names)
-    return dataset, [noisy] if target == "velocity" else []
+    rows: tuple[ResidualDataset, list[str]] = service("recorded_rows", "collect")(settings, vehicle, flights, names)
+    return rows
 
 
 def _simulated_rows(
@@ -221,34 +208,14 @@ def _simulated_rows(
     def noise_of(rows: ResidualDataset) -> dict[str, Any] | None:
         return known_noise(rows, vehicle, worlds, of_estimate=settings.state == "estimate")
 
-    groups: dict[str, list[int]] = {}  # flights that have lag and delays in common
     lines: list[str] = []
-    of_rotors = brought("services", "rotor_thrust")
-    if settings.thrust == "delivered" and of_rotors is None:
-        lines.append("warning: commands count as acting at once: no installed plug-in finds lag and delays")
-    for i, world in enumerate(worlds if settings.thrust == "delivered" and of_rotors else ()):
-        groups.setdefault(digest({group: world.get(group) for group in OF_TIMING}), []).append(i)
-    timings = []
-    timing = brought("services", "timing_of_recorded")
-    for group in groups.values():
-        index = dataset.columns["flight"]
-        tables = [dataset.rows(index == i).columns for i in group]
-        noise = noise_of(dataset.rows(np.isin(index, group)))
-        of_group = [flights[i] for i in group]
-        of_state = settings.state == "estimate"
-        known = timing(of_group, vehicle, of_estimate=of_state) if timing is not None else None
-        timings.append((group, of_rotors.fit_timing(of_group, vehicle, tables, noise=noise, known=known)))
     extra: dict[str, Any] = {}
-    if not all(fit.timing.is_ideal for _, fit in timings):
-        thrusts = [np.empty(0)] * len(flights)
-        for group, fit in timings:
-            for i in group:
-                thrusts[i] = of_rotors.mean_thrust(flights[i], vehicle, fit.timing)
-            shown = ", ".join(map(str, group[:4])) + (" .." if len(group) > 4 else "")
-            of = "" if len(group) == len(flights) else f"flight{'s' if len(group) > 1 else ''} {shown}: "
-            lines.append(f"{of}{fit.line}")
-        dataset = residual_dataset(flights, vehicle, frame=settings.frame, names=names, thrusts=thrusts)
-        extra["timing"] = [{"flights": [names[i] for i in group], **fit.as_dict()} for group, fit in timings]
+    if settings.thrust == "delivered":
+        delivered = brought("services", "delivered_rows")
+        if delivered is None:
+            lines.append("warning: commands count as acting at once: no installed plug-in finds lag and delays")
+        else:
+            dataset, lines, extra = delivered(settings, vehicle, flights, dataset, names, noise_of)
     extra["known_noise"] = noise_of(dataset)
     return dataset._replace(metadata={**dataset.metadata, **extra}), lines
 

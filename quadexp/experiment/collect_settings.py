@@ -13,7 +13,7 @@ from quadexp.parts.settings import key, keyed
 class CollectConfig(Part):
     """How a data set is flown: flights of at most `flight_duration` until `duration` is reached, speeds spread evenly
     over [speed_min, speed_max]. mode: random (smooth random paths) or setpoints (jumps between random points).
-    target, identified: of recorded flights; see quadexp/plugins/identification/recorded.py."""
+    target, identified: of recorded flights."""
 
     prefix = "collect."
 
@@ -41,7 +41,7 @@ class CollectConfig(Part):
     target: Literal["auto", "specific_force", "velocity"] = key(
         "auto", "target of recorded flights: specific force of the accelerometer (auto), or derivative of the velocity"
     )
-    identified: str | None = key(None, "folder written by `quadexp identify`, whose thrust curve recorded flights need")
+    identified: str | None = key(None, "checkpoint folder whose thrust curve recorded flights need")
 
     def check_together(self) -> None:
         if self.speed_min > self.speed_max:

@@ -50,9 +50,8 @@ from quadexp.provenance import (
 FLIGHT_GROUPS = ("vehicle", "plant", "sensor", "trajectory", "controller")
 MODEL_FILE = "model.json"
 FITTING = (f"{OWN}.experiment.collect", f"{OWN}.experiment.fit")  # make a model of flights, with these services
-FITTING_SERVICES = ("rotor_thrust", "timing_of_recorded")
+FITTING_SERVICES = ("delivered_rows",)
 _CLASSES = itertools.count()
-MAKER = "quadexp identify FLIGHT... --out models/NAME"  # of a model that is flown as the truth
 
 
 def canonical(value: Any) -> str:
@@ -234,7 +233,7 @@ def _shipped_files(group: str, part: Part) -> dict[str, Path]:
         return {}
     file = Path(part.model) / MODEL_FILE
     if not file.is_file():
-        raise UsageError(f"plant.model={part.model}: no checkpoint there; make one: {MAKER}")
+        raise UsageError(f"plant.model={part.model}: no checkpoint there; make one: {part.makes}")
     return {group: file}
 
 

@@ -160,7 +160,6 @@ _BY_KIND = {
     "residuals": RESIDUAL_COLUMNS,
     "results": RESULT_COLUMNS,
     "statistics": STATISTIC_COLUMNS,
-    "leaderboard": RESULT_COLUMNS,
 }
 _OF_ROTORS = {  # of columns with the number of a rotor behind
     "u": Column("N", "body", "commanded static rotor thrust"),

@@ -34,6 +34,7 @@ from quadexp.log.schema import Flight, describe
 from quadexp.names import check_names, sha256_of
 from quadexp.parts.former import now
 from quadexp.physics.state import STATE_COLUMNS
+from quadexp.plugin import shipped_places
 from quadexp.progress import set_status
 from quadexp.writer import written
 
@@ -41,12 +42,6 @@ SCHEMA = 2
 LONG = 200_000  # rows of a table that is read column by column
 METADATA_KEY = b"quadexp"
 HASH_KEY = b"quadexp_sha256"
-KINDS = {  # of table: what it is called, and the command that makes it
-    "flight": ("a flight", "simulate"), "residuals": ("a data set", "collect"),
-    "results": ("a table of results", "evaluate"), "estimates": ("a table of estimates", "identify"),
-    "statistics": ("a table of statistics", "evaluate"), "tuning": ("a table of trials", "tune"),
-    "leaderboard": ("a leaderboard", "bench"),
-}  # fmt: skip
 MAGIC = b"PAR1"  # first bytes of a Parquet file
 
 # What stands in the record of a file, where it does.
@@ -143,15 +138,21 @@ def read_metadata(path: str | Path, kind: str | None = None) -> dict[str, Any]:
     if isinstance(record.get("config"), dict):
         record["config"] = now(record["config"])
     if kind is not None and stored_kind != kind:
-        raise WrongFileError(f"{path}: is {KINDS.get(stored_kind, (stored_kind,))[0]}, {_needed(kind)}")
+        raise WrongFileError(f"{path}: is {called(stored_kind)[1]}, {_needed(kind)}")
     return record
+
+
+def called(kind: str) -> tuple[str, str]:
+    """The command that makes a kind of tables, and what it is called: its own name where nothing says it."""
+    command, _, what = shipped_places("kinds").get(kind, f" {kind}").partition(" ")
+    return command, what
 
 
 def _needed(kind: str | None) -> str:
     """What is needed instead of a file of another kind, as the end of a message."""
     if kind is None:
         return "a file that quadexp wrote is needed here"
-    what, command = KINDS[kind]
+    command, what = called(kind)
     return f"{what} is needed here (made by `quadexp {command}`)"
 
 
@@ -169,7 +170,7 @@ def _check_kind_of_file(path: Path, kind: str | None) -> None:
         hint = example_in(path) if kind in ("flight", None) else ""
         raise WrongFileError(f"{path}: is a folder, {_needed(kind)}{hint}")
     if not path.is_file():
-        maker = f" (made by `quadexp {KINDS[kind][1]}`)" if kind in KINDS else ""
+        maker = f" (made by `quadexp {called(kind)[0]}`)" if kind else ""
         raise UsageError(f"{path}: no such file{maker}")
     with contextlib.suppress(OSError), open(path, "rb") as file:  # which is said where it is read
         if (start := file.read(len(MAGIC))) != MAGIC:

@@ -186,7 +186,7 @@ class Model(Record, frozen=True, kw_only=True, tag_field="kind"):
 
         Raises UsageError where the model states no variance.
         """
-        raise UsageError(f"{residual.source}: {self.kind} states no variance to fall back by; a GP does")
+        raise UsageError(f"{residual.source}: {self.kind} states no variance to fall back by")
 
     def adapting(self, vehicle: Vehicle, residual: Residual, deviation: float) -> Adapting:
         """The residual with weights that adapt in flight. deviation: of the prior, m/s^2.

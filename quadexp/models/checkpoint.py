@@ -22,6 +22,7 @@ from quadexp.names import check_names, sha256_of
 from quadexp.parts.models import is_shipped, kinds, model_part
 from quadexp.parts.user_modules import data_of, modules_of
 from quadexp.physics.vehicle import Vehicle
+from quadexp.plugin import advice
 from quadexp.provenance import place_hash
 from quadexp.writer import check_output, write_folder
 
@@ -29,7 +30,6 @@ SCHEMA = 2
 LARGEST = 100_000_000  # bytes of a model.json; six outputs of a thousand inducing points each take 70 MB
 MODEL_FILE = "model.json"
 REPORT_FILE = "report.json"
-COMMANDS = "`quadexp fit MODEL DATASET --out {path}`, or `quadexp identify FLIGHT... --out {path}`"
 
 
 def save_model(path: str | Path, model: Model, *, report: dict[str, Any] | None = None, force: bool = False) -> Path:
@@ -58,7 +58,9 @@ def load_model(path: str | Path, *, vehicle: Vehicle | None = None, unknown: boo
     path = Path(path)
     file = path / MODEL_FILE if path.is_dir() or path.suffix != ".json" else path
     if not file.is_file():
-        raise UsageError(f"{path}: no model there; make one with {COMMANDS.format(path=path)}")
+        raise UsageError(
+            f"{path}: no model there; make one with `quadexp fit MODEL DATASET --out {path}`{advice('model', path)}"
+        )
     document = _decoded(file)
     schema = document.get("schema")
     digest = document.get("sha256")

@@ -36,7 +36,7 @@ from quadexp.physics.state import root_mean_square
 from quadexp.physics.vehicle import Vehicle
 
 N_PARAMETERS = 7  # drag 3, intercept 3, thrust gain 1
-LABELS = {"flight": "95 % interval over {flights} flights", "blocks": "95 % interval of quadexp identify"}
+LABELS = {"flight": "95 % interval over {flights} flights", "blocks": "95 % interval over blocks of samples"}
 
 
 @keyed
@@ -165,8 +165,7 @@ def linear_drag_residual(
 
 
 def adapting_drag(vehicle: Vehicle, residual: Residual, deviation: float) -> Adapting:
-    """The residual of linear drag with parameters that adapt. deviation: s of quadexp.plugins.remedies.online,
-    m/s^2."""
+    """The residual of linear drag with parameters that adapt. deviation: of the prior, m/s^2."""
     typical = np.array([TYPICAL_SPEED, 1.0, vehicle.mass * vehicle.gravity])
     blocks = []
     for axis, count in enumerate((2, 2, 3)):

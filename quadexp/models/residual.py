@@ -43,7 +43,7 @@ _FEATURE = re.compile(r"[vw]_[xyz]|u_\d+|thrust")
 class Residual:
     """A residual model: function, parameters, and their source.
 
-    name: for output ("none", "linear_drag", "gaussian_process", ...).
+    name: for output ("none", "linear_drag", ...).
     function: CasADi, (z (6 + n,), theta (p,)) -> (y (6,), dy/dz (6, 6 + n)); entries that are always zero are
         structural zeros, so that code using it can omit them.
     theta: parameter values, (p,). source: checkpoint path or a word, for the record.

@@ -1,6 +1,6 @@
 """The cells of a sweep, made when they are asked for: a million cells take no more memory than ten.
 
-A combination that contradicts itself, such as `controller=geometric controller.nodes=20`, is an invalid cell: it is
+A combination that contradicts itself, such as `wind=none wind.onset=2`, is an invalid cell: it is
 not flown, and its row of results says why. Only a request that is wrong as a whole is refused (`iterate_validated`).
 """
 

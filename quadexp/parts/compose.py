@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 from quadexp.errors import UsageError
 from quadexp.messages import ending_in, suggestion
 from quadexp.names import SPELLINGS, is_name
+from quadexp.parts.absent import LACKING
 from quadexp.parts.cells import Cell as Cell
 from quadexp.parts.cells import Cells, as_override, iterate_validated, product, written_out
 from quadexp.parts.models import GROUP, check_named, kind_of, spelled
-from quadexp.parts.options import GLOBAL, LACKING, Folders, OptionFiles, given_folders, merge, nested
+from quadexp.parts.options import GLOBAL, Folders, OptionFiles, given_folders, merge, nested
 from quadexp.parts.override import GROUPS, MOST_CELLS, Override, OverrideReader, alternatives
 from quadexp.parts.part import TARGET, part_class
 from quadexp.parts.reads import is_read, refuse_idle, refuse_unread, refuse_without_effect
@@ -195,9 +196,8 @@ class Composer:
         if not is_name(config.world):
             raise UsageError(f"world={config.world!r}: its name must be one printable line")
         baseline = config.evaluate.baseline
-        controllers = self.options("controller")
-        if baseline not in controllers:
-            raise UsageError(f"evaluate.baseline={baseline}: no such controller{suggestion(baseline, controllers)}")
+        if baseline not in self.options("controller"):
+            raise UsageError(f"evaluate.baseline={baseline}: {self._files.why_not('controller', baseline)}")
         return config
 
     def _world_name(self, config: Config, chosen: Sequence[Override], values: Sequence[Override]) -> str:
@@ -215,10 +215,9 @@ class Composer:
         if choice not in self._trees:
             layers = self._layers({override.key: override.value for override in chosen})
             for name in layers:
-                if lacks_plugin(name):
-                    raise UsageError(f"{layers[name][0].option}: sets {name}: {LACKING}")
                 if name not in _ROOT:
-                    raise UsageError(f"{layers[name][0].option}: {name}: no such key{suggestion(name, list(_ROOT))}")
+                    unknown = LACKING if lacks_plugin(name) else f"no such key{suggestion(name, list(_ROOT))}"
+                    raise UsageError(f"{layers[name][0].option}: {name}: {unknown}")
             self._trees[choice] = {name: self._node(name, layers.get(name, [])) for name in _ROOT}
         return self._trees[choice]
 

@@ -17,11 +17,9 @@ from quadexp.plugin import shipped_places
 GROUPS = {old: group for group, words in shipped_places("groups").items() for old in words.split()[2:]}
 MODULES = {
     "quadexp.control.instant": "quadexp.control.control_step",
-    "quadexp.world.ground": "quadexp.plugins.worlds.ground",
-    "quadexp.reference.ellipse": "quadexp.plugins.papers.ellipse",
     "quadexp.control.built": "quadexp.control.cached_function",
     "quadexp.parts.sensor_sheet": "quadexp.parts.sensor_spec",
-    "quadexp.plugins.remedies.earlier": "quadexp.plugins.remedies.delay_line",
+    **shipped_places("modules"),
 }
 # Module -> names in it -> where they are.
 NAMES = {

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from quadexp.errors import UsageError
-from quadexp.messages import suggestion
 from quadexp.names import without
 from quadexp.parts.models import GROUP, named_by
 from quadexp.parts.options import Folders, OptionFiles, given_folders, groups
@@ -39,7 +38,7 @@ def listed(asked: str = "", conf: Folders = None) -> list[Record]:
     if option and group in files.groups:
         name = files.named(group, option)
         if name is None:
-            raise UsageError(f"{asked}: no such {group}{suggestion(option, files.options(group))}")
+            raise UsageError(f"{asked}: {files.why_not(group, option)}")
         return _keys(files, group, name)
     keys = _all_keys(files)
     if group in (*files.groups, *declared(Config)):  # and what else is called like it

@@ -11,9 +11,8 @@ from functools import cache, lru_cache
 from pathlib import Path
 
 from quadexp.errors import UsageError
-from quadexp.messages import suggestion
 from quadexp.names import SPELLINGS
-from quadexp.parts.options import OptionFiles
+from quadexp.parts.options import OptionFiles, absent_options
 from quadexp.parts.part import TARGET, Part
 from quadexp.parts.schema import conf_folder
 from quadexp.parts.settings import Declared, Settings, declared, made, plain
@@ -79,8 +78,9 @@ def check_named(settings: Settings) -> None:
             wrong = [word for word in unknown if word not in allowed] or [] if names else ["[]"]
             if wrong:
                 group = about.setting.options
-                said = f"{', '.join(allowed)}, or an own {group}/NAME.yaml in a --conf folder"
-                raise UsageError(f"{settings.prefix}{name}={wrong[0]}: must be one of {said}")
+                others = f"must be one of {', '.join(allowed)}, or an own {group}/NAME.yaml in a --conf folder"
+                reason = absent_options().get(f"{group}/{wrong[0]}", others)
+                raise UsageError(f"{settings.prefix}{name}={wrong[0]}: {reason}")
 
 
 @cache
@@ -122,7 +122,7 @@ def kind_of(option: str, files: OptionFiles) -> str:
     """The kind of models that an option fits. Raises UsageError where there is no such option."""
     options = files.options(GROUP)
     if option not in options:
-        raise UsageError(f"fit {option}: no such model{suggestion(option, options)}")
+        raise UsageError(f"fit {option}: {files.why_not(GROUP, option)}")
     part = files.part_of(GROUP, option)
     if part is None:
         raise UsageError(f"{GROUP}={option}: its file names no class; let it begin with `{TARGET}: MODULE.CLASS`")

@@ -2,8 +2,8 @@
 
 The folders are a user's own, in the order in which they are given, then those of installed plugins, then conf/. Where
 several have an option of one name, the first counts, and a note says what it covers. An option extends those of its own
-folder and of the folders behind it, so an own `pid` that extends `pid` extends the one that it covers, and what ships
-extends what ships. An option is a file GROUP/NAME.yaml:
+folder and of the folders behind it, so an own `circle` that extends `circle` extends the one that it covers, and what
+ships extends what ships. An option is a file GROUP/NAME.yaml:
 
     defaults: [nominal_mpc, _self_]       # an option extends others of its group
     defaults: [override /wind: gust]      # a bundle, or an experiment, chooses options of other groups
@@ -16,9 +16,11 @@ or an entry of an option file, options/SHEET.yaml, which holds several, by group
       heavy: {meaning: 30 % more mass than assumed, actuator: first_order, truth.mass: 1.3}
 
 `of` names the option that it extends, `meaning` says in words what it is, `provenance` where its values come from; the
-rest is what a file would state. `crazyflie` reads values from an installed package (plug-in exchange). Of a bundle
-(world, remedies) a key that names a group chooses its option, and GROUP.KEY sets a value. A part of a world whose
-values are set so is an option too: truth=heavy.
+rest is what a file would state. `numbers: MODULE.FUNCTION NAME` takes values from FUNCTION(group, NAME), under what is
+stated. Of a bundle (world, remedies) a key that names a group chooses its option, and GROUP.KEY sets a value. A part of
+a world whose values are set so is an option too: truth=heavy.
+
+An option of this program that needs a plug-in which is not there is not there either, see absent.py.
 """
 
 from __future__ import annotations
@@ -27,33 +29,32 @@ import contextlib
 import copy
 import functools
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from quadexp.errors import UsageError
-from quadexp.messages import MOST_NAMED, ending_in, note
+from quadexp.messages import MOST_NAMED, ending_in, note, suggestion
 from quadexp.names import without
+from quadexp.parts.absent import LACKING, absent, chosen_group
 from quadexp.parts.former import group_of
-from quadexp.parts.part import TARGET, Part, part_class
+from quadexp.parts.part import TARGET, Part, imported, part_class
 from quadexp.parts.schema import BUNDLES, CHOSEN, CLASSES, PRESETS, WORLD, conf_folder, lacks_plugin
 from quadexp.parts.settings import declared
 from quadexp.parts.user_modules import import_from, plugin_folders
 from quadexp.parts.yaml_files import Spelled, read_mapping
-from quadexp.plugin import service
 from quadexp.provenance import content_hash
 
 OPTION_FILES = "options"  # folder of the option files, in a folder of configuration
 NOTHING = "nothing"  # the option file of the options that do nothing, for each of which `none` stands
 ABOUT = ("of", "meaning", "provenance")  # keys of an entry that set nothing
 LOOK = "look"  # key of an option that says how it is drawn; its part has no such key
-CRAZYFLIE = "crazyflie"  # key of an option whose numbers are those of a package; see the service `crazyflie_numbers`
+NUMBERS = "numbers"  # key of an option that takes values from a function
 CITE = "cite"  # key of an option that names its papers: of conf/references.bib, of a folder's own, or in words
 GLOBAL = ("experiment", *BUNDLES)  # groups whose options set values of the whole configuration
 Place = str | os.PathLike[str]
 Folders = Place | Iterable[Place] | None  # of a user's own, as given with --conf; the first comes first
-LACKING = "no installed plug-in has this group (quadexp/plugins)"
 
 
 class Entry(NamedTuple):
@@ -122,15 +123,12 @@ class OptionFiles:
     def __init__(self, extra: Folders = None) -> None:
         self.folders = [*_resolved([*_resolved(extra), *plugin_folders().values(), conf_folder()])]
         self.definitions: dict[str, list[Definition]] = {}
+        *_, shipped = self.folders
         for place, folder in enumerate(self.folders):
-            files = (path for path in folder.glob("*/*.yaml") if path.is_file() and path.parent.name != OPTION_FILES)
-            stated: list[tuple[str, Path, Entry | None]] = [
-                (f"{group_of(p.parent.name)}/{p.stem}", p, None) for p in files
-            ]
-            stated += [(name, entry.option_file, entry) for name, entry in entries(folder).items()]
-            for name, path, entry in stated:
-                if not lacks_plugin(name.partition("/")[0]):
-                    self.definitions.setdefault(name, []).append(Definition(place, path, entry))
+            out = absent_options() if folder == shipped else {}
+            for name, definition in _stated(place, folder):
+                if name not in out:
+                    self.definitions.setdefault(name, []).append(definition)
         self.entries = {name: first.entry for name, (first, *_) in self.definitions.items() if first.entry}
         self.groups: dict[str, list[str]] = {}
         for name in sorted(self.definitions):
@@ -150,6 +148,11 @@ class OptionFiles:
             return option if option in options else None
         stated = ((name, each.path) for name in options for each in self.definitions[f"{group}/{name}"])
         return next((name for name, path in stated if path.match(f"{OPTION_FILES}/{NOTHING}.yaml")), None)
+
+    def why_not(self, group: str, option: Any) -> str:
+        """Why there is no such option."""
+        unknown = f"no such {group}{suggestion(str(option), self.options(group))}"
+        return absent_options().get(f"{group}/{option}", unknown)
 
     def note_covered(self, group: str, option: str) -> None:
         """Say once where an option comes before another one of its name."""
@@ -192,16 +195,14 @@ class OptionFiles:
         how it is drawn. UsageError where there is none, or it is none of settings."""
         known = self.definitions.get(f"{group}/{name}", [])
         if not known:
-            raise UsageError(f"{group}={name}: there is no file {group}/{name}.yaml")
+            raise UsageError(f"{group}={name}: {self.why_not(group, name)}")
         usable = [each for each in known if each not in extending]
         if not usable:
             raise UsageError(f"{extending[-1].path}: defaults: {group}={name} extends itself")
         definition = min(usable, key=lambda each: bool(extending) and each.place < extending[-1].place)
-        content = without(definition.content, (LOOK, CITE, CRAZYFLIE))
-        drone = definition.content.get(CRAZYFLIE)
-        if drone is None:
-            return definition, content
-        numbers = service("crazyflie_numbers", f"{group}={name}")(group, str(drone))
+        content = without(definition.content, (LOOK, CITE, NUMBERS))
+        place, _, of = str(definition.content.get(NUMBERS, "")).partition(" ")
+        numbers = imported(f"{group}={name}: {NUMBERS}: {place}", place)(group, of) if place else {}
         return definition, numbers | content
 
     def _read_option(self, group: str, name: str, extending: tuple[Definition, ...]) -> Option:
@@ -233,7 +234,7 @@ class OptionFiles:
         """Options that an entry of `defaults` chooses, such as `override /wind: gust`."""
         choices = {}
         for key, option in entry.items():
-            group = group_of(str(key).removeprefix("override ").strip().lstrip("/"))
+            group = chosen_group(key)
             if lacks_plugin(group):
                 if option == "none":
                     continue
@@ -242,7 +243,7 @@ class OptionFiles:
                 raise UsageError(f"{path}: defaults: {key}: must be `override /GROUP`, of {', '.join(CHOSEN)}")
             name = self.named(group, option)
             if name is None:
-                raise UsageError(f"{path}: defaults: {key}: {option}: there is no such option of {group}")
+                raise UsageError(f"{path}: defaults: {key}: {option}: {self.why_not(group, option)}")
             choices[group] = name
         return choices
 
@@ -294,7 +295,21 @@ def units(group: str) -> dict[str, str]:
     return {name: setting.setting.unit for part in parts for name, setting in declared(part).items()}
 
 
+@functools.cache
+def absent_options() -> dict[str, str]:
+    """Option of this program, such as "trajectory/circle" -> why it is not there."""
+    return absent(dict(_stated(0, conf_folder())))
+
+
 # ------------------------------------------------------------------------------------------------------------ sheets
+def _stated(place: int, folder: Path) -> Iterator[tuple[str, Definition]]:
+    """The options of a folder of configuration, such as "plant/ideal", without groups whose plug-in is not there."""
+    files = (path for path in folder.glob("*/*.yaml") if path.is_file() and path.parent.name != OPTION_FILES)
+    stated = [(f"{group_of(path.parent.name)}/{path.stem}", Definition(place, path, None)) for path in files]
+    stated += [(name, Definition(place, entry.option_file, entry)) for name, entry in entries(folder).items()]
+    return ((name, definition) for name, definition in stated if not lacks_plugin(name.partition("/")[0]))
+
+
 def entries(folder: Path) -> dict[str, Entry]:
     """Name, such as "world/heavy" -> option, of all option files in a folder of configuration.
 

@@ -15,7 +15,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, get_args, get_origin
 
 from quadexp.errors import UsageError
-from quadexp.messages import suggestion
 from quadexp.parts.former import setting
 from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import CHOSEN, CLASSES, Config
@@ -55,7 +54,7 @@ class Override(NamedTuple):
 def alternatives(overrides: Sequence[str]) -> list[list[str]]:
     """Overrides for each of several options, some of which bring settings of their own.
 
-    `controller=pid,dfbc rate_loop=indi` stands for controller=pid, and for controller=dfbc with rate_loop=indi. What
+    `trajectory=hover,circle wind=gust` stands for trajectory=hover, and for trajectory=circle with wind=gust. What
     they bring cannot be given beside them too."""
     for i, text in enumerate(map(setting, overrides)):
         key, _, value = text.partition("=")
@@ -114,7 +113,7 @@ class OverrideReader:
     def _option(self, key: str, value: Any) -> str:
         option = self._files.named(key, value)
         if option is None:
-            raise UsageError(f"{key}={value}: no such {key}{suggestion(str(value), self._files.options(key))}")
+            raise UsageError(f"{key}={value}: {self._files.why_not(key, value)}")
         return option
 
     def _by_grammar(self, text: str) -> Override:

@@ -42,12 +42,14 @@ class Part(Settings):
     former_keys: keys that it had, and the values that flights of today stand for: hashes and noise of a plant stay.
     added: keys that it did not always have, recorded where they are not as usual.
     age_key: that of the age of the measured state, which `timing.age` gives, where it has one.
+    makes: the command that makes what its key `model` names, where that is no model of the air.
     """
 
     former_kind: ClassVar[str] = ""
     former_keys: ClassVar[Mapping[str, Any]] = {}
     added: ClassVar[tuple[str, ...]] = ()
     age_key: ClassVar[str] = "age"
+    makes: ClassVar[str] = ""
 
     name: Name = "unnamed"
 
@@ -140,8 +142,8 @@ def part_class(key: str, target: str) -> type[Part]:
     Only classes of this program, of a --conf folder and of an installed plugin package are imported. Raises
     ModuleError, or UsageError where there is none of that name.
     """
-    target_class = imported(key, target)
     said = f"{key}.{TARGET}={target}"
+    target_class = imported(said, target)
     if not (isinstance(target_class, type) and issubclass(target_class, Part)):
         raise UsageError(f"{said}: is no part: it must be a class derived from quadexp.parts.part.Part")
     if target_class.prefix not in ("", f"{key}."):
@@ -149,9 +151,8 @@ def part_class(key: str, target: str) -> type[Part]:
     return target_class
 
 
-def imported(key: str, target: str) -> Any:
-    """What a dotted name stands for; see part_class."""
-    said = f"{key}.{TARGET}={target}"
+def imported(said: str, target: str) -> Any:
+    """What a dotted name stands for; see part_class. said: where it stands, for messages."""
     module_name, _, attribute = str(target).rpartition(".")
     if not module_name:
         raise UsageError(f"{said}: expected MODULE.NAME, such as my_package.helix.Helix")

@@ -143,7 +143,7 @@ def remedies(config: Config) -> dict[str, Any]:
 
 
 def controller_name(config: Config) -> str:
-    """What the controller is called in tables, with the remedies around it: "gp_mpc+wind+strapdown"."""
+    """What the controller is called in tables, with the remedies around it: "nominal_mpc+mine"."""
     return "+".join([config.controller.name, *(remedy.name for remedy in remedies(config).values())])
 
 
@@ -155,7 +155,7 @@ def world_parts(config: Config) -> dict[str, Part]:
 
 def world_name(config: Config, bundle: str, bundled: Mapping[str, Any]) -> str:
     """What the world is called, without blanks: "clean", or a bundle and the parts that differ from it, as in
-    "outdoor_breeze,wind=none" and "wind=constant,link=latency".
+    "only_latency,wind=gust" and "wind=constant,link=latency".
 
     bundle: option of the group `world`. bundled: the parts that it chooses, by group.
     """

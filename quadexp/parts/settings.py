@@ -66,7 +66,7 @@ class Setting:
     options: of a text or a list, the group whose options it names, or one of the words `also` (parts/models.py).
 
     when: of its part, the key (KEY, which must not be 0, or KEY=VALUE) without which it has no effect.
-    tuned: what `quadexp tune` varies of it unless set otherwise: LOW..HIGH, LOW..HIGH:log, or .PART=LOW..HIGH of
+    tuned: what a search of settings varies of it unless set otherwise: LOW..HIGH, LOW..HIGH:log, or .PART=LOW..HIGH of
     entries of a list or of a key below; several are separated by blanks."""
 
     meaning: str

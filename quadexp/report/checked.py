@@ -1,6 +1,6 @@
 """What the rows of a table are worth: which programs flew them, and whether their files are there and say the same.
 
-`report`, `results`, `compare` and `plot` look at so many files, evenly chosen; `quadexp results --verify` reads all.
+Commands that show results look at so many files, evenly chosen.
 """
 
 from __future__ import annotations

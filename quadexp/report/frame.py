@@ -4,7 +4,7 @@ The value is that of the configuration stored with the flight; `model.inducing` 
 its checkpoint, as long as that is where the flight found it. A cell without a flight (invalid, failed) has no file:
 the overrides that asked for it are in the record of the results.
 
-Conditions, such as `controller == gp_mpc and speed > 6`, are evaluated by pandas as `DataFrame.query` does. A word that
+Conditions, such as `plant == simplified and speed > 6`, are evaluated by pandas as `DataFrame.query` does. A word that
 is a column of the results or a key of the configuration stands for its values, any other one for a text. A number may
 have a unit (5 mm); without one it has that of the tables beside a metric (`mean_error < 5` is in mm) and that of the
 configuration beside a key. What pandas reads is put together from known columns, signs and literals: no name, call or

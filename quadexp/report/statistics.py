@@ -157,7 +157,7 @@ class Statistic:
         return f"{seeds}, {probability(self.p_holm)}" if self.testable else f"{seeds}, too few for a test"
 
     def text(self) -> str:
-        """Such as "gp_mpc: 98.7 % [98.6, 98.8] less than nominal_mpc over 4 conditions (20 seeds, p = 0.0002), 97.1 %
+        """Such as "mine: 98.7 % [98.6, 98.8] less than nominal_mpc over 4 conditions (20 seeds, p = 0.0002), 97.1 %
         less in lemniscate 8 m/s to 99.1 % less in circle 4 m/s"."""
         if not self.pairs:
             return f"{self.label}: no pair with {self.baseline} ({self.left_out})"

@@ -29,7 +29,6 @@ from quadexp.report.text import number, speed_text
 
 MODEL_FILE = "model.json"
 WEAK_YAW = 0.501  # share of the weight on yaw, from which on down it is said: headings of 90 degrees and more
-LONG = 0.499  # s: margins are not looked for beyond half a second
 HELD_OUT_UNITS = {"a": "m/s^2", "t": "N m"}  # by the first letter of an output
 
 
@@ -97,7 +96,8 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
         every = thinned["log_period"]
         period = thinned["control_period"]
         lines.append(f"stored      a sample every {every:g} s, not every {period:g} s")
-    if line := margin_line(metadata.get("margins")):
+    of_margins = brought("services", "margin_texts")
+    if of_margins and (line := of_margins.margin_line(metadata.get("margins"))):
         lines.append(f"loop        {line}")
     lines += [f"{'' if i else 'auto':<12}{line}" for i, line in enumerate(metadata.get("lacking", ()))]
     share = row.get("reference_residual")
@@ -107,40 +107,8 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
     return lines + outside_line(metadata.get("outside_data"), always=always)
 
 
-def margin_line(margins: Mapping[str, Any] | None) -> str:
-    """What a loop tolerates beyond what it was flown with; "" where no record says. margins: of
-    the service `loop_margins`."""
-    if not margins:
-        return ""
-    if why := margins.get("unknown"):
-        return f"what it tolerates is not known: {why}"
-    where = _judged(margins)
-    if not margins["delay"]:
-        return f"is not stable {where}"
-    delay = _milliseconds(margins["delay"])
-    lag = _milliseconds(margins["lag"])
-    return f"tolerates {delay} more of delay, {lag} more of motor lag ({where})"
-
-
-def world_note(margins: Mapping[str, Any]) -> str:
-    """That a loop was flown which is not stable; "" where it is."""
-    if margins.get("delay", 1.0):
-        return ""
-    doubles = f"an error doubles every {math.log(2) / margins['growth']:.2g} s"
-    return f"the loop is not stable {_judged(margins)}: {doubles}"
-
-
-def _judged(margins: Mapping[str, Any]) -> str:
-    """What a loop was judged as."""
-    return ", ".join(filter(None, ("at hover", margins.get("judged"))))
-
-
-def _milliseconds(time: float) -> str:
-    return "over 500 ms" if time > LONG else f"{1e3 * time:.0f} ms"
-
-
 def _world_options(record: Mapping[str, Any]) -> list[str]:
-    """The parts of a flight's world that do something, such as "wind=dryden"; a flight records no others."""
+    """The parts of a flight's world that do something, such as "wind=gust"; a flight records no others."""
     config = record.get("config") or {}
     names = {group: config[group].get("name") for group in WORLD if isinstance(config.get(group), Mapping)}
     return [f"{group}={name}" for group, name in names.items() if (group, name) != ("sensor", "perfect")]

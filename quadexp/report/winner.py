@@ -122,7 +122,7 @@ class Verdict:
         return self.ways > 1 and not self.alike and not self.flew_less
 
     def text(self) -> str:
-        """Such as "least over the 20 flights that all completed: gp_mpc, the best of 3, ..."."""
+        """Such as "least over the 20 flights that all completed: perfect_mpc, the best of 3, ..."."""
         if not self.against:
             return ""
         flights = sorted({difference.flights for difference in self.against.values()})

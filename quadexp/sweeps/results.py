@@ -51,7 +51,7 @@ def select(
 ) -> SweepFrame:
     """The cells of a folder, with any key of the configuration as a column, and `wanted`.
 
-    filters: KEY=VALUE, all of which must hold; VALUE may be a comma list, and of text a pattern such as `gp_*`. where:
+    filters: KEY=VALUE, all of which must hold; VALUE may be a comma list, and of text a pattern such as `*_mpc`. where:
     see report/frame.py. sort: columns with commas between, "-" before one for descending order; what comes first
     decides first, and missing values come last. failures: only what was not completed.
     Raises UsageError for a folder without results or an unknown column.
@@ -127,7 +127,7 @@ def _filtered(frame: SweepFrame, filters: Sequence[str]) -> SweepFrame:
     for text in filters:
         name, equals, value = text.partition("=")
         if not equals:
-            raise UsageError(f"{text!r}: expected KEY=VALUE, such as controller=gp_mpc")
+            raise UsageError(f"{text!r}: expected KEY=VALUE, such as controller=nominal_mpc")
         allowed, column = (
             re.split(r",(?![^\[]*\])", value),
             frame.column(name),

@@ -100,7 +100,7 @@ class Sensors(SensorKeys, Effect):
                 " here: give vehicle.thrust_coefficient, and an actuator or a plant that has speeds"
             )
         if self.sets("battery") and "battery_voltage" not in columns:
-            raise UsageError("sensor.battery_..: there is no battery here: `quadexp options battery` lists them")
+            raise UsageError("sensor.battery_..: there is no battery here; `quadexp options` lists what there is")
         exact = {name: about.default for name, about in declared(type(self)).items() if name.startswith("rotor_speed")}
         return self if turning else replace(self, **exact)
 

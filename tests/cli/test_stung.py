@@ -137,7 +137,7 @@ def test_what_commands_print_fits_the_terminal(made, width, command):
         (["new", "plant", "match", "--to", "parts"], "'match' is not a valid name"),
         (["new", "vehicle", "null", "--to", "parts"], "'null' means something else"),
         (["new", "trajectory", "circle", "--to", "parts"], "there is trajectory=circle already"),
-        (["new", "model", "gp", "--to", "parts"], "there is controller=gp_mpc already"),
+        (["new", "model", "linear_drag", "--to", "parts"], "there is controller=linear_drag_mpc already"),
         (["new", "controller", "random", "--to", "parts"], "a Python module random exists"),
         (["new", "model", "theta", "--to", "parts"], "'theta' is used in the code"),
         (["bench", "trajectory=circle"], "trajectory=circle: is not used by bench; it is for"),
@@ -152,9 +152,11 @@ def test_what_commands_print_fits_the_terminal(made, width, command):
         (["plot", "nowhere"], "nowhere: no such file"),
         (["simulate", "trajectory.speed=30"], "cannot be flown: it takes"),
         (["evaluate", "experiment=quick"], "experiment=quick: is not used by evaluate; add --sweep"),
-        (["simulate", "controller=gp_mpc"], "gp_mpc needs a model and none is in models/"),
         (["simulate", "controller=linear_drag_mpc"], "linear_drag_mpc needs a model and none is in models/"),
-        (["simulate", "controller=gp_mpc", "model=models/nowhere"], "model=models/nowhere: no checkpoint there"),
+        (
+            ["simulate", "controller=linear_drag_mpc", "model=models/nowhere"],
+            "model=models/nowhere: no checkpoint there",
+        ),
     ],
 )
 def test_a_wrong_request_is_one_line_and_exit_code_2_and_nothing_is_done(here, words, message):

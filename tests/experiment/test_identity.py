@@ -20,11 +20,10 @@ from quadexp.experiment.identity import flight_identity
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight
 from quadexp.parts.compose import compose, expand
-from quadexp.plugins.archive.verify import verify_results
 from quadexp.sweeps.engine import Task, fly_as_planned
 from quadexp.sweeps.plan import plan_cells
 from quadexp.sweeps.sweep import SweepRequest, run_sweep
-from tests.plugins.cluster.test_dask import make_checkpoint
+from tests.models.by_hand import make_checkpoint
 from tests.sweeps.cells import quick_cell
 
 FILES = {
@@ -268,6 +267,8 @@ class TestOneProcess:
 
 class TestSweep:
     def test_an_own_option_beside_a_shipped_one_that_is_edited_is_flown_again_alone(self, tmp_path):
+        from quadexp.plugins.archive.verify import verify_results
+
         folder, cells = place(tmp_path / "mine", 1.0), ["trajectory=hover,mine", *SHORT]
         options = {"isolate": False, "function": quick_cell}
         assert run_sweep(expand(cells, folder), tmp_path / "r", SweepRequest(**options)).flown == 2

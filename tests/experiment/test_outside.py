@@ -74,9 +74,9 @@ def test_the_model_is_known_inside_remedies_and_in_other_controllers(model, tmp_
 
 def test_what_states_no_variance_has_nothing_to_fall_back_by(model, tmp_path):
     code, _, error = fly(model, 2, tmp_path / "a.parquet", "controller.fallback=true")
-    assert code == 2 and error == f"error: {model}: linear_drag states no variance to fall back by; a GP does\n"
+    assert code == 2 and error == f"error: {model}: linear_drag states no variance to fall back by\n"
     code, _, error = fly(model, 2, tmp_path / "a.parquet", "controller.residual=none", "controller.fallback=true")
-    assert code == 2 and "controller.fallback: residual=none has no data; gaussian_process has" in error
+    assert code == 2 and "controller.fallback: residual=none is not learned from flights" in error
 
 
 def test_an_old_checkpoint_says_unknown(model, tmp_path):

@@ -15,7 +15,7 @@ from quadexp.parts.schema import WORLD, world_parts
 from quadexp.physics.state import POSITION, STATE_COLUMNS
 from quadexp.report.metrics import flight_metrics
 from quadexp.report.notes import notes
-from quadexp.report.summary import summarise, world_note
+from quadexp.report.summary import summarise
 from quadexp.world.effect import STAGES
 from quadexp.world.world import World
 from tests.deleted import needs
@@ -131,6 +131,8 @@ def test_who_knows_the_plant_says_what_it_does_not_know():
 @needs("margins", "worlds")
 def test_known_delays_are_held_against_the_margins(world, stable):
     """The margin of the precise grid is 17 ms; link and estimator count together, and what the controller predicts."""
+    from quadexp.plugins.margins.texts import world_note
+
     overrides = [*SHORT, "horizon=precise", "controller=nominal_mpc", *world]
     if not stable:
         with pytest.raises(InfeasibleError, match="not stable at hover"):

@@ -24,8 +24,8 @@ from quadexp.physics.state import STATE_COLUMNS, input_columns
 from quadexp.plugins.gaussian_process.gaussian_process import GPConfig, fit_gp
 from quadexp.plugins.logs.importers.table import open_table
 from tests.faults.command import ROOT, START, apart, one_line, run
+from tests.models.by_hand import make_checkpoint
 from tests.models.synthetic import synthetic_dataset
-from tests.plugins.cluster.test_dask import make_checkpoint
 
 MEMORY = """
 import atexit

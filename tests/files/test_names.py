@@ -15,8 +15,6 @@ from quadexp.log.store import read_flight, write_flight, write_table
 from quadexp.models.checkpoint import load_model, save_model
 from quadexp.names import NAMED, file_name, is_name
 from quadexp.parts.compose import compose
-from quadexp.plugins.page.sweep_figures import SweepFigures
-from quadexp.plugins.tune.preset import check_name
 from quadexp.reference.hover import Hover
 from quadexp.requests import _flight_name, _results_name
 from quadexp.sweeps.results import select
@@ -36,6 +34,8 @@ def lies_in(path: Path, folder: Path) -> bool:
 
 @given(st.one_of(st.sampled_from(HOSTILE), st.text(max_size=400)))
 def test_a_file_name_is_one_component(text):
+    from quadexp.plugins.page.sweep_figures import SweepFigures
+
     made = file_name(text)
     assert Path(made).parts == (made,) and made.isprintable() and len(made.encode()) <= 140
     assert made == made.strip(" .") and not made.startswith("-") and made.upper() not in ("NUL", "CON", "COM1.TXT")
@@ -51,6 +51,8 @@ def test_different_names_have_different_files(texts):
 @pytest.mark.parametrize("name", HOSTILE)
 def test_what_is_written_lies_in_the_output_folder(name):
     """Names of a trajectory, an experiment, a tuned option: each is refused, or made a file name."""
+    from quadexp.plugins.tune.preset import check_name
+
     trajectory = object.__new__(Hover)  # whose own check would refuse it
     vars(trajectory).update(vars(Hover()) | {"name": name})
     config = dataclasses.replace(compose([]), trajectory=trajectory)

@@ -10,7 +10,6 @@ from quadexp.parts.listing import candidates, key_words, listed
 from quadexp.parts.options import OptionFiles, groups
 from quadexp.parts.schema import CLASSES, PARTS, PRESETS
 from quadexp.parts.settings import plain
-from quadexp.plugins.bench.commands import _controllers
 from tests.deleted import needs
 
 
@@ -29,14 +28,14 @@ def test_every_group_and_option_is_listed():
 
 def test_the_values_are_those_that_fly():
     """Of an option that extends another one: its own, the other one's, and the defaults of the class."""
-    config = compose(["controller=gp_mpc"]).controller
-    shown = keys("controller=gp_mpc")
-    assert shown["controller.residual"]["value"] == config.residual == "gaussian_process"
+    config = compose(["controller=linear_drag_mpc"]).controller
+    shown = keys("controller=linear_drag_mpc")
+    assert shown["controller.residual"]["value"] == config.residual == "linear_drag"
     assert shown["controller.nodes"] == {
         "key": "controller.nodes", "value": str(config.nodes), "allowed": "[2, 200] nodes",
         "meaning": "number of intervals of the horizon",
     }  # fmt: skip
-    for option in ("wind=gust", "trajectory=ellipse", "estimator=late", "observer=wind"):
+    for option in ("wind=gust", "trajectory=circle", "estimator=late", "link=radio"):
         group = option.partition("=")[0]
         part = getattr(compose([option]), group)
         for key, one in keys(option).items():
@@ -93,16 +92,16 @@ def typed(*words, conf=None):
 @pytest.mark.parametrize(
     ("words", "expected", "prefix"),
     [
-        (("contr",), {"controller=gp_mpc", "controller=nominal_mpc"}, "controller="),
+        (("contr",), {"controller=linear_drag_mpc", "controller=nominal_mpc"}, "controller="),
         (("controller=n",), {"controller=nominal_mpc"}, "controller=n"),
         (("trajectory=circle,le",), {"trajectory=circle,lemniscate"}, "trajectory=circle,le"),
         (("trajectory.sp",), {"trajectory.speed="}, "trajectory.sp"),
         (("controller.backe",), {"controller.backend=auto", "controller.backend=interpreted"}, "controller.backend="),
         (("controller.feedf",), {"controller.feedforward=true", "controller.feedforward=false"}, "controller.feedf"),
-        (("seed=0", "experiment=q"), {"experiment=quick"}, "experiment=q"),
+        (("seed=0", "horizon=pr"), {"horizon=precise"}, "horizon=pr"),
         # bash splits words at "=" and wants the value alone back
-        (("controller", "=", "gp"), {"gp_mpc"}, "gp"),
-        (("controller", ""), {"gp_mpc", "linear_drag_mpc", "nominal_mpc", "perfect_mpc"}, ""),
+        (("controller", "=", "lin"), {"linear_drag_mpc"}, "lin"),
+        (("controller", ""), {"linear_drag_mpc", "nominal_mpc", "perfect_mpc"}, ""),
     ],
 )
 def test_candidates(words, expected, prefix):
@@ -130,8 +129,12 @@ def test_every_key_offered_can_be_set_with_some_option():
     assert set(groups()) >= {"vehicle", "plant", "trajectory", "controller", "collect", "model", "experiment"}
 
 
+@needs("bench")
 def test_controllers_of_the_leaderboard_are_completed():
-    assert _controllers(SimpleNamespace(params={"conf": None}), "gp_") == ["gp_mpc", "gp_mpc_tuned"]
+    from quadexp.plugins.bench.commands import _controllers
+
+    context = SimpleNamespace(params={"conf": None})
+    assert _controllers(context, "linear_") == ["linear_drag_mpc", "linear_drag_mpc_tuned"]
 
 
 def test_what_is_there_is_listed_without_the_packages_that_an_option_needs(monkeypatch):

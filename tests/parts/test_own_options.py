@@ -13,8 +13,8 @@ from quadexp.parts.listing import candidates, listed
 from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import CHOSEN, PARTS, PRESETS
 from quadexp.parts.settings import declared, record
-from quadexp.plugins.bench.commands import _controllers
 from tests.cli.command import run
+from tests.deleted import needs
 
 QUICK = ("plant=ideal", "trajectory=hover", "trajectory.duration=0.2")
 MODULE = "from quadexp.plugins.laws.geometric import Geometric\n\n\nclass {name}(Geometric):\n    pass\n"
@@ -143,7 +143,7 @@ def test_workers_of_a_sweep_fly_it(own_pid, tmp_path):
 
 
 def test_every_way_of_asking_agrees(own_pid, tmp_path):
-    """Python, the loop of one's own, the listing, the completion, the leaderboard's."""
+    """Python, the loop of one's own, the listing, the completion."""
     kind = type(compose(["controller=pid"], own_pid).controller)
     flight = qx.simulate(*QUICK, controller="pid", conf=str(own_pid))
     assert flight.record["classes"]["controller"] == f"{kind.__module__}.{kind.__name__}"
@@ -151,6 +151,12 @@ def test_every_way_of_asking_agrees(own_pid, tmp_path):
     keys = [record["key"] for record in listed("controller=pid", own_pid)]
     assert "controller.position_bandwidth" in keys and "controller.tilt_limit" not in keys
     assert candidates([], "controller.position_band", own_pid) == ["controller.position_bandwidth="]
+
+
+@needs("bench")
+def test_an_own_option_is_completed_for_the_leaderboard(own_pid):
+    from quadexp.plugins.bench.commands import _controllers
+
     context = type("Context", (), {"params": {"conf": [str(own_pid)]}})
     assert "pid" in _controllers(context, "pi")
 

@@ -93,7 +93,7 @@ def test_experiments_and_single_keys_too(words, message):
     assert code == 2 and message in err and err.count("\n") == 1 and not out, err
 
 
-@needs("gaussian_process", "tune", "margins")
+@needs("gaussian_process", "tune", "margins", "identification")
 def test_an_experiment_is_taken_where_some_of_it_is_used(tmp_path):
     folder = tmp_path / "mine" / "experiment"
     folder.mkdir(parents=True)
@@ -121,8 +121,13 @@ def test_an_experiment_is_taken_where_some_of_it_is_used(tmp_path):
         (qx.controller, {"engine": "local"}, "engine=local: is not used by qx.controller"),
         (qx.collect, {"trajectory": "circle"}, "trajectory=circle: is not used by collect"),
         (qx.sweep, {"collect": {"duration": 3}}, "collect.duration=3: is not used by evaluate --sweep"),
-        (qx.tune, {"controller": "pid", "nn": "default"}, "nn=default: is not used by tune"),
-        (qx.bench, {"metric": "rmse"}, "evaluate.metric=rmse: is not used by bench"),
+        pytest.param(
+            lambda **keys: qx.tune(**keys),
+            {"controller": "pid", "nn": "default"},
+            "nn=default: is not used by tune",
+            marks=needs("tune", "laws", "neural"),
+        ),
+        (lambda **keys: qx.bench(**keys), {"metric": "rmse"}, "evaluate.metric=rmse: is not used by bench"),
         (lambda **keys: qx.fit_drag("x", **keys), {"trajectory": "hover"}, "trajectory=hover: is not used by fit"),
     ],
 )

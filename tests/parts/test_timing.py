@@ -5,7 +5,6 @@ import pytest
 from quadexp.errors import UsageError
 from quadexp.experiment.identity import flight_record
 from quadexp.parts.compose import compose, session
-from quadexp.plugins.margins.recorded import recorded_words
 from tests.deleted import needs
 
 SAME = (
@@ -64,6 +63,8 @@ def test_an_option_of_ones_own_serves_every_controller(tmp_path):
 
 
 def test_it_counts_for_what_a_flight_recorded():
+    from quadexp.plugins.margins.recorded import recorded_words
+
     with session() as composer:
         flown = flight_record(composer.compose(["controller.dead_time=0.02", "motor=lead"]))
         again = composer.compose(recorded_words(composer, flown, ["timing.dead_time=0.05"]))

@@ -9,9 +9,10 @@ import sys
 import pytest
 
 from quadexp.plugin import BRINGS, shipped_plugins
+from tests.brought import named_in, options_of
+from tests.deleted import needs
 from tests.faults.command import apart
 from tests.house import PACKAGE, ROOT, plugins
-from tests.plugins.logs.importers.logs import truth, ulog
 
 FLIGHT = ("controller=nominal_mpc", "trajectory=hover", "trajectory.duration=1")
 
@@ -50,7 +51,10 @@ def test_the_program_flies_without_it(name, checkout):
         assert refused.returncode == 2 and refused.stderr.count("\n") == 1 and word in refused.stderr, refused.stderr
 
 
+@needs("logs", "check")
 def test_logs_are_read_without_what_checks_them(checkout):
+    from tests.plugins.logs.importers.logs import truth, ulog
+
     folder, command = checkout
     shutil.rmtree(folder / "quadexp" / "plugins" / "check")
     ulog(folder / "a.ulg", truth(duration=5.0))
@@ -74,12 +78,23 @@ def test_the_core_does_its_work_without_all_of_them(checkout):
         done = command(*words)
         assert done.returncode == 0, (words, done.stderr)
     assert (folder / "a" / "results.parquet").is_file() and not (folder / "a" / "figures").exists()
-    listed = {line.split()[0] for line in command("options").stdout.splitlines()}
-    assert {"wind", "controller"} <= listed and not listed & {"observer", "adaptive", "rate_loop", "delay", "battery"}
+    options = dict(line.split(maxsplit=1) for line in command("options").stdout.splitlines() if " " in line)
+    groups = {"observer", "adaptive", "rate_loop", "delay", "battery", "ground", "import"}
+    assert {"wind", "controller"} <= options.keys() and not options.keys() & groups
+    there = {f"{group}/{option}" for group, names in options.items() for option in names.split()}
+    assert {"controller/nominal_mpc", "wind/gust"} <= there
+    assert not there & {option for name in plugins() for option in options_of(name)}
+    for word in ("evaluate", "new", "collect", "fit", "show"):
+        said = command(word, "--help").stdout
+        assert f"quadexp {word}" in said and not [name for name in plugins() if named_in(said, name)], word
     for words, said in (
+        (("simulate", *FLIGHT, "controller=pid"), "controller=pid: the plug-in quadexp/plugins/laws is not there"),
+        (("evaluate", "--sweep", *FLIGHT, "--watch"), "No such option: --watch"),
+        (("new", "vehicle", "racer", "--from", "a.toml"), "No such option: --from"),
+        (("new", "remedy", "mine"), "new remedy: must be one of vehicle, trajectory, plant, model, controller"),
         (("simulate", *FLIGHT, "observer=disturbance"), "observer: no installed plug-in has this group"),
         (("evaluate", "--sweep", "--figures", *FLIGHT, "--out", "again"), "--figures: no installed plug-in"),
-        (("simulate", *FLIGHT, "world=everything"), "battery=quick_sag: no installed plug-in has this group"),
+        (("simulate", *FLIGHT, "world=everything"), "battery=quick_sag: no installed plug-in has this"),
         (("simulate", *FLIGHT, "timing.age=0.01"), "timing.age=0.01: nothing in this configuration uses it"),
         (("evaluate", *FLIGHT, "evaluate.workers=1"), "is not used by evaluate; add --sweep"),
         (("results", "a", "--html", "a.html"), "No such option: --html"),

@@ -8,7 +8,7 @@ import pytest
 from quadexp.parts.options import OptionFiles
 from quadexp.parts.schema import conf_folder
 from tests.cli.command import run
-from tests.deleted import needs
+from tests.deleted import DELETED, needs
 
 BARE = ("controller.backend=interpreted", "plant.backend=interpreted")
 COURSE = ("trajectory=hover", "trajectory.duration=0.3", *BARE)
@@ -18,17 +18,17 @@ def keys(text):
     return re.findall(r"^@\w+\{([^,]+),", text, re.MULTILINE)
 
 
-@needs("remedies", "worlds")
 def test_every_paper_of_an_option_has_an_entry_and_every_entry_is_of_an_option():
     files = OptionFiles()
     cited = {paper for group in files.groups for option in files.options(group) for paper in files.cited(group, option)}
-    assert cited == set(keys((conf_folder() / "references.bib").read_text()))
+    entries = set(keys((conf_folder() / "references.bib").read_text()))
+    assert cited == entries or (DELETED and cited < entries)
 
 
 def test_every_controller_of_the_literature_states_its_paper():
     files = OptionFiles()
     without = {option for option in files.options("controller") if not files.cited("controller", option)}
-    assert without == {"exported", "policy"}  # whose paper is its user's
+    assert without == {"exported", "policy"}.intersection(files.options("controller"))  # whose paper is its user's
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import shlex
 import pytest
 
 from tests.cli.command import run
-from tests.plugins.cluster.test_dask import make_checkpoint
+from tests.models.by_hand import make_checkpoint
 
 OWN = "defaults: [linear_drag_mpc, _self_]\n"
 

@@ -6,7 +6,6 @@ import pytest
 import quadexp as qx
 from quadexp.parts.cells import varied
 from quadexp.parts.compose import expand
-from quadexp.plugins.page.view import view
 from quadexp.report.frame import SweepFrame, setting_column
 from quadexp.report.pairing import condition_of, contestant_of
 from quadexp.report.tables import comparison_table
@@ -43,6 +42,8 @@ TWO_OF_ONE_NAME = {
 
 @pytest.mark.parametrize("case", TWO_OF_ONE_NAME)
 def test_two_contestants_of_one_name_are_two_columns(tmp_path, case):
+    from quadexp.plugins.page.view import view
+
     overrides, labels = TWO_OF_ONE_NAME[case]
     result = fly(tmp_path / "r", [*overrides, "seed=0,1"])
     assert (
@@ -128,6 +129,8 @@ DRAG = "plant.linear_drag=[0.3,0.3,0],[0.3,0,0.3]"
 
 def test_a_vector_is_shown_as_it_was_written(tmp_path):
     """Two of equal length too."""
+    from quadexp.plugins.page.view import view
+
     fly(tmp_path / "r", [DRAG, "seed=0,1"])
     table = (tmp_path / "r/table.md").read_text()
     assert "0.424" not in table and "[0.3,0.3,0]" in table and "[0.3,0,0.3]" in table

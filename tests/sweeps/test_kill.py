@@ -13,7 +13,7 @@ from quadexp.parts.compose import expand
 from quadexp.sweeps.engine import CellFailed, Workers
 from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.experiment.same import same_results
-from tests.plugins.cluster.dask_cluster import descendants
+from tests.processes import descendants
 from tests.sweeps import cells
 from tests.sweeps.quick import kill, start, wait_for
 from tests.sweeps.test_sweep import files

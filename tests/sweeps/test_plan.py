@@ -72,7 +72,7 @@ def test_every_setting_of_a_flight_is_in_the_key_and_no_other(overrides):
 
 
 def test_the_plan_knows_the_same_keys(tmp_path, monkeypatch):
-    from tests.plugins.cluster.test_dask import make_checkpoint
+    from tests.models.by_hand import make_checkpoint
 
     monkeypatch.chdir(tmp_path)
     make_checkpoint(tmp_path / "models/drag")
@@ -86,7 +86,7 @@ def test_the_plan_knows_the_same_keys(tmp_path, monkeypatch):
 
 
 def test_another_content_of_a_checkpoint_is_another_cell(tmp_path):
-    from tests.plugins.cluster.test_dask import make_checkpoint
+    from tests.models.by_hand import make_checkpoint
 
     grid = expand(["controller=linear_drag_mpc", f"model={tmp_path}/m"])
     make_checkpoint(tmp_path / "m")

@@ -10,7 +10,6 @@ from quadexp.errors import QuadexpError, UsageError
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_metadata, read_table, write_table
 from quadexp.parts.compose import expand
-from quadexp.plugins.archive.verify import verify_results
 from quadexp.sweeps.results import prune, select
 from quadexp.sweeps.sweep import SweepInterrupted, SweepRequest, run_sweep
 from tests.cli.command import run
@@ -160,6 +159,8 @@ class TestPruneKeeps:
 
     @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError("the disk has gone")])
     def test_an_enlargement_that_was_interrupted(self, flown, error):
+        from quadexp.plugins.archive.verify import verify_results
+
         there = interrupted(flown, LARGER, 5, error)
         assert len(there) == 17 and prune(flown, remove=True).keys == []
         assert sum(row["wanted"] for row in select(flown).rows) == 17

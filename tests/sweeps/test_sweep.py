@@ -13,7 +13,6 @@ from quadexp.experiment.identity import flight_record
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight, read_table
 from quadexp.parts.compose import expand
-from quadexp.plugins.archive.verify import verify_results
 from quadexp.sweeps import sweep
 from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.plan import cell_key, flying_order, plan_cells
@@ -127,6 +126,8 @@ class TestSweep:
     def test_a_cell_whose_settings_contradict_each_other_is_marked_and_the_others_are_flown(self, tmp_path):
         """Found while composing (hover has no speed), while planning (a truth that cannot fly), and while its parts are
         built (a part of this test's own)."""
+        from quadexp.plugins.archive.verify import verify_results
+
         asked = ["trajectory=circle,hover", "trajectory.speed=4", "truth.mass=1,9", "seed=0,1"]
         result = run_sweep(expand(asked), tmp_path / "r", SweepRequest(function=cells.contradicting_cell, workers=1))
         found = {(r["trajectory"], r["variant"], r["seed"]): (r["outcome"], r["cause"]) for r in result.rows}

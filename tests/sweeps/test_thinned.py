@@ -7,8 +7,6 @@ import pytest
 from quadexp.log.cell_store import CellStore
 from quadexp.log.store import read_flight
 from quadexp.parts.compose import expand
-from quadexp.plugins.page.report.sections import Page, worst_section
-from quadexp.plugins.page.report.source import read_comparison
 from quadexp.report.metrics import mean_error, position_error
 from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.cli.command import run
@@ -31,6 +29,9 @@ def thinned(tmp_path_factory):
 
 
 def test_it_says_so_and_shows_the_errors_of_the_table(thinned):
+    from quadexp.plugins.page.report.sections import Page, worst_section
+    from quadexp.plugins.page.report.source import read_comparison
+
     out, result = thinned
     whole = fly(out.parent / "whole", 0).rows
     for row, other, flight in zip(result.rows, whole, flights(out, result.rows), strict=True):

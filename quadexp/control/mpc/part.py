@@ -51,7 +51,7 @@ class MPC(PredictivePart):
     added = ("fallback",)
     residual: str = key(REQUIRED, RESIDUAL)
     fallback: bool = key(
-        False, "weigh a Gaussian process by its variance: outside its data it becomes drag that is fitted to it"
+        False, "weigh the learned model by its variance: outside its data it becomes drag that is fitted to it"
     )
 
     def model(self, context: BuildContext) -> Any:
@@ -60,7 +60,7 @@ class MPC(PredictivePart):
         if not self.fallback:
             return model
         if not self.learned:
-            raise UsageError(f"controller.fallback: residual={self.residual} has no data; gaussian_process has")
+            raise UsageError(f"controller.fallback: residual={self.residual} is not learned from flights")
         return context.checkpoint(0).weighed(context.vehicle, model)
 
 

@@ -22,8 +22,6 @@ BRINGS = {
         "casadi": f"{_HERE}.equations:CASADI",
         "c": f"{_HERE}.equations:C",
     },
-    "services": {
-        "new_vehicle": f"{_HERE}.new_vehicle:vehicle_from",
-        "crazyflie_numbers": f"{_HERE}.crazyflies:crazyflie_numbers",
-    },
+    "advice": {"formats": ", then quadexp export {}, which makes other formats of it"},
+    "alternatives": {"new --from": f"{_HERE}.new_vehicle:new_from"},
 }

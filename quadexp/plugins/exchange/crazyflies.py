@@ -1,8 +1,7 @@
 """The numbers of a Crazyflie's vehicle and plant, from the files of the package that identified it.
 
 The package is crazyflow, or drone-models that was merged into it (both: University of Toronto, utiasDSL; MIT licence).
-Its files are read as data; it is not imported. An entry of an option file asks for them by `crazyflie: cf2x_L250`, and
-what it states besides counts over them.
+Its files are read as data; it is not imported. An option asks for them by `numbers`, see quadexp/parts/options.py.
 """
 
 from __future__ import annotations

@@ -4,23 +4,37 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
+from typing import Annotated
 
-from omegaconf import OmegaConf
-
-from quadexp.cli.command import Answer
-from quadexp.cli.extend import TEMPLATES, check_name
+from quadexp.cli.command import Answer, Ask
+from quadexp.cli.extend import TEMPLATES, NewName, NewPart, To, check_name
 from quadexp.errors import UsageError
-from quadexp.experiment.build import build_vehicle
-from quadexp.parts.settings import made
-from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.exchange.vehicles import vehicle_keys
 from quadexp.writer import write_text
 
 
-def vehicle_from(part: str, name: str, source: str, to: Path) -> Answer:
-    """A vehicle with the numbers of another program's file."""
+def new_from(
+    part: NewPart,
+    name: NewName,
+    to: To = Path("my_parts"),
+    from_: Annotated[
+        str | None, Ask("A vehicle: the file of crazyflow (.toml) or RotorPy (.py).", "FILE[:SECTION]")
+    ] = None,
+) -> Answer:
+    """A vehicle with --from has the numbers of another program's file; a RotorPy file is Python, and is run.
+
+    \b
+    quadexp new vehicle racer --from params.toml:racer
+    """
+    source = from_ or ""
     if part != "vehicle":
         raise UsageError(f"new {part} --from: only a vehicle is read from a file")
+    from omegaconf import OmegaConf
+
+    from quadexp.experiment.build import build_vehicle
+    from quadexp.parts.settings import made
+    from quadexp.physics.vehicle import Vehicle
+    from quadexp.plugins.exchange.vehicles import vehicle_keys
+
     check_name(part, name, TEMPLATES[part], to)
     file, _, section = source.partition(":")
     keys = vehicle_keys(Path(file), section)

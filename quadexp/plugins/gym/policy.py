@@ -77,7 +77,7 @@ class Policy(ControllerPart):
     def _function(self) -> Function:
         if self.is_function:
             module, _, name = self.policy.partition(":")
-            function: Function = imported(KEY, f"{module}.{name}")
+            function: Function = imported(f"{KEY}={self.policy}", f"{module}.{name}")
             if not callable(function):
                 raise UsageError(f"{KEY}={self.policy}: is not a function")
             return function

@@ -12,9 +12,10 @@ BRINGS = {
         "rotor_force": "quadexp.plugins.identification.rotor_force",
     },
     "services": {
-        "recorded_flights": "quadexp.plugins.identification.recorded",
-        "rotor_thrust": "quadexp.plugins.identification.rotor_thrust",
-        "timing_of_recorded": "quadexp.plugins.identification.delays:timing_by_accelerometer",
+        "recorded_rows": "quadexp.plugins.identification.collected:recorded_rows",
+        "delivered_rows": "quadexp.plugins.identification.collected:delivered_rows",
     },
     "reads": {"validate": "vehicle"},
+    "kinds": {"estimates": "identify a table of estimates"},
+    "advice": {"model": ", or `quadexp identify FLIGHT... --out {}`"},
 }

@@ -31,6 +31,7 @@ class FromModel(PlantPart):
     """A model identified from flights as the truth; see the top of this file. model: its checkpoint folder."""
 
     former_kind = "from_model"
+    makes = "quadexp identify FLIGHT... --out models/NAME"
     model: str = key(REQUIRED, "checkpoint folder of the model that is taken as the truth", noise=False)
     residual: str = key("best", "which model of an identified vehicle; best: the one that identification chose")
     force_noise_density: float = key(0.0, FORCE_DENSITY)

@@ -8,15 +8,15 @@ BRINGS = {
         "compare": "quadexp.plugins.page.commands:compare",
         "animate": "quadexp.plugins.page.commands:animate",
     },
-    "alternatives": {"results --html": "quadexp.plugins.page.commands:results_html"},
+    "alternatives": {
+        "results --html": "quadexp.plugins.page.commands:results_html",
+        "evaluate --watch": "quadexp.plugins.page.commands:evaluate_watched",
+    },
     "services": {
         "paper_texts": "quadexp.plugins.page.sweep_latex:paper_texts",
-        "view": "quadexp.plugins.page.view:view",
-        "figure_of": "quadexp.plugins.page.draw:figure_of",
-        "flights_figure": "quadexp.plugins.page.flight_figures:flights_figure",
-        "over_time": "quadexp.plugins.page.flight_figures:over_time",
+        "plot_results": "quadexp.plugins.page.draw:plot_results",
+        "plot_flight": "quadexp.plugins.page.flight_figures:plot_flight",
         "sweep_figures": "quadexp.plugins.page.sweep_figures:SweepFigures",
-        "watch": "quadexp.plugins.page.watch:Watch",
     },
     "sections": {
         "numbers": "quadexp.plugins.page.report.sections:numbers_section",

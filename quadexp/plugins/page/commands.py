@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Out, command, file_rows, single_values
+from quadexp.cli.command import Answer, Ask, Conf, Force, OptionalOut, Out, Overrides, command, file_rows, single_values
+from quadexp.cli.fly import Figures, KeepOld, Refly, Sweep, evaluated
 from quadexp.cli.look import Columns, Failures, Filters, Limit, Sort, Where, selected
 from quadexp.cli.terminal import say
 from quadexp.errors import UsageError
@@ -278,3 +279,26 @@ def results_html(
     page = page_of(rows.frame, rows.named or [*rows.usual, "key"], folder.name)
     write_text(check_output(html, force=force), page, force=force)
     return Answer({"path": html}, [{"path": html}], [html])
+
+
+def evaluate_watched(
+    overrides: Overrides = (),
+    sweep: Sweep = False,
+    out: OptionalOut = None,
+    figures: Figures = None,
+    conf: Conf = (),
+    refly: Refly = False,
+    keep_old: KeepOld = False,
+    force: Force = False,
+    watch: Annotated[bool, Ask("Show the sweep while it runs: a table here, and a page in a file.")] = False,
+) -> Answer:
+    """With --watch it is shown while it runs.
+
+    \b
+    quadexp evaluate --sweep experiment=torrente_table1 --watch
+    """
+    from quadexp.plugins.page.watch import Watch
+
+    if not sweep:
+        raise UsageError("--watch is for a sweep: add --sweep")
+    return evaluated(overrides, sweep, out, figures, conf, refly, keep_old, force, Watch)

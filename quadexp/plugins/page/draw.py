@@ -41,6 +41,15 @@ ON_PAPER: Any = {  # letters of the size and kind of the text around: Times, in 
 }
 
 
+def plot_results(
+    frame: SweepFrame, *, by: str | Sequence[str] | None, facet: str | Sequence[str] | None, **options: Any
+) -> Figure:
+    """Results of the Python API; see `view`."""
+    lines = [by] if isinstance(by, str) else by
+    panels = [facet] if isinstance(facet, str) else facet
+    return figure_of(view(frame, by=lines, facet=panels, **options))
+
+
 def figure_of(view: View) -> Figure:
     """The matplotlib figure of a view, on paper with smaller letters."""
     with matplotlib.rc_context({**STYLE, **(ON_PAPER if view.width else {})}):

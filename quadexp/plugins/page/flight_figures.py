@@ -24,6 +24,7 @@ from quadexp.report.metrics import mean_error, position_error
 from quadexp.report.pairing import grouped
 
 MM = 1e3  # of a metre
+OF_A_FLIGHT = ("t", "p_x", "p_y", "p_z", "v_x", "v_y", "v_z")  # columns that its figure needs
 LEAST_ERROR = 1e-6  # mm, on a logarithmic axis
 LEAST_SHARE = 1e-4  # of the largest error, of the least one on a logarithmic scale
 MAX_PANELS = 36  # of tracked paths in one figure
@@ -159,6 +160,16 @@ def _draw_columns(panel: Any, flight: Flight, names: Sequence[str], **look: Any)
     """Columns over time."""
     for name, colour in zip(names, cycle(COLOURS), strict=False):
         panel.plot(flight.t, flight[name], color=colour, label=name, **look)
+
+
+def plot_flight(flight: Any, columns: Sequence[str]) -> Figure:
+    """A Flight of the Python API: the named columns over time, or path, position error and thrusts."""
+    missing = [name for name in columns or OF_A_FLIGHT if name not in flight]
+    if missing:
+        raise UsageError(f"the flight has no column {missing[0]!r} to draw")
+    if columns:
+        return over_time(flight.arrays(), columns, flight.attrs.get("units", {}))
+    return flights_figure({str(flight.record.get("controller") or "flown"): flight.arrays()})
 
 
 @styled

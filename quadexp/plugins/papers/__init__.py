@@ -8,6 +8,7 @@ BRINGS = {
         "rls_mpc": "quadexp.plugins.papers.lei_li.rls_mpc",
         "paths": "quadexp.plugins.papers.lei_li.paths",
     },
+    "modules": {"quadexp.reference.ellipse": "quadexp.plugins.papers.ellipse"},
     "columns": {"lei_li": "quadexp.plugins.papers.lei_li.columns:COLUMNS"},
     "papers": {
         "adaptation": "quadexp.plugins.papers.adaptation",

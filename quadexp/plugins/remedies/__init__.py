@@ -8,6 +8,8 @@ BRINGS = {
         "delay": "remedies rate_loop",
     },
     "parts": {"remedies": "quadexp.plugins.remedies"},
+    "modules": {"quadexp.plugins.remedies.earlier": "quadexp.plugins.remedies.delay_line"},
+    "templates": {"remedy": "height_integral adaptive/NAME HeightIntegral"},
     "columns": {"remedies": "quadexp.plugins.remedies.columns:COLUMNS"},
     "services": {"believed_world": "quadexp.plugins.remedies.believed_world:BelievedWorld"},
 }

@@ -194,6 +194,7 @@ class OnlineMPC(PredictivePart):
     """
 
     former_kind = "online_mpc"
+    given = ("terms",)
     residual: tuple[str, ...] = key(
         REQUIRED, "summed models; the weights of the last one adapt", options="model", also=("terms",)
     )

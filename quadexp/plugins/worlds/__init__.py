@@ -3,5 +3,6 @@
 BRINGS = {
     "groups": {"battery": "world actuator", "ground": "world health"},
     "parts": {"worlds": "quadexp.plugins.worlds"},
+    "modules": {"quadexp.world.ground": "quadexp.plugins.worlds.ground"},
     "columns": {"worlds": "quadexp.plugins.worlds.columns:COLUMNS"},
 }

@@ -10,6 +10,8 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
+from tests.processes import descendants
+
 ROOT = Path(__file__).resolve().parents[3]
 ENVIRONMENT = {
     **os.environ,
@@ -65,20 +67,3 @@ class Cluster:
         )
         self._started.append(process)
         return process
-
-
-def descendants(pid: int) -> list[tuple[int, str]]:
-    """Process ids and command lines of all that a process started, from /proc."""
-    children: dict[int, list[int]] = {}
-    commands = {}
-    for entry in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):
-            parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
-            children.setdefault(parent, []).append(int(entry.name))
-            commands[int(entry.name)] = (entry / "cmdline").read_text().replace("\0", " ")
-    found, waiting = [], list(children.get(pid, []))
-    while waiting:
-        child = waiting.pop()
-        found.append((child, commands.get(child, "")))
-        waiting += children.get(child, [])
-    return found

@@ -17,6 +17,7 @@ from quadexp.plugins.cluster.cluster import DaskEngine, open_cluster
 from quadexp.sweeps.engine import LocalEngine
 from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.experiment.same import same_results
+from tests.models.by_hand import make_checkpoint
 from tests.plugins.cluster.dask_cluster import Cluster
 from tests.sweeps import cells
 from tests.sweeps.cells import built_engine
@@ -180,19 +181,3 @@ class TestMistakes:
         run_sweep(expand(SHORT), tmp_path / "r", SweepRequest(engine=LocalEngine(1)))
         engine = DaskEngine(lambda: pytest.fail("it started a cluster"))
         assert run_sweep(expand(SHORT), tmp_path / "r", SweepRequest(engine=engine)).flown == 0
-
-
-def make_checkpoint(folder, drag=0.3):
-    """A linear-drag checkpoint with numbers by hand."""
-    import numpy as np
-
-    from quadexp.experiment.build import build_vehicle
-    from quadexp.models.checkpoint import save_model
-    from quadexp.models.linear_drag import LinearDrag
-
-    vehicle = build_vehicle(compose([]).vehicle)
-    numbers = {"drag": np.array([drag, drag, 0.1]), "intercept": np.zeros(3), "thrust_gain": 0.0}
-    errors = {"drag_error": np.zeros(3), "intercept_error": np.zeros(3), "thrust_gain_error": 0.0}
-    fit = {"residual_std": np.zeros(3), "r_squared": np.ones(3), "n": 10}
-    named = {"name": vehicle.name, "fingerprint": vehicle.fingerprint}
-    save_model(folder, LinearDrag(**numbers, **errors, **fit, vehicle=named), force=True)

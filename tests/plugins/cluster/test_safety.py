@@ -19,7 +19,8 @@ from quadexp.errors import QuadexpError
 from quadexp.parts.compose import compose, expand
 from quadexp.sweeps.sweep import SweepRequest, run_sweep
 from tests.experiment.same import same_results
-from tests.plugins.cluster.dask_cluster import ROOT, Cluster, descendants
+from tests.plugins.cluster.dask_cluster import ROOT, Cluster
+from tests.processes import descendants
 from tests.sweeps import cells
 from tests.sweeps.cells import built_engine
 

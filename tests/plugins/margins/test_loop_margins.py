@@ -11,7 +11,8 @@ from quadexp.parts.compose import compose
 from quadexp.plugins.margins import loop_margins
 from quadexp.plugins.margins.loop_margins import margins
 from quadexp.plugins.margins.requests import margins as along_path
-from quadexp.report.summary import flight_lines, margin_line, world_note
+from quadexp.plugins.margins.texts import margin_line, world_note
+from quadexp.report.summary import flight_lines
 
 HOVER = ["trajectory=hover", "trajectory.duration=0.2"]
 

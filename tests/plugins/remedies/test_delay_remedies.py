@@ -6,7 +6,7 @@ import pytest
 from quadexp.errors import UsageError
 from quadexp.experiment.evaluate import InfeasibleError, fly_one
 from quadexp.parts.compose import compose
-from quadexp.report.summary import world_note
+from quadexp.plugins.margins.texts import world_note
 
 WORLD = ["controller=perfect_mpc", "trajectory=lemniscate", "trajectory.speed=6", "seed=1", "horizon=robust"]
 FAST = ["controller.backend=interpreted"]

@@ -16,6 +16,7 @@ from quadexp.names import distinct
 from quadexp.parts.cells import Grid
 from quadexp.parts.override import quoted
 from quadexp.parts.settings import flat
+from quadexp.plugin import brought
 from quadexp.plugins.page.document import Block, Cell, Section
 from quadexp.plugins.page.report.source import Comparison, Record
 from quadexp.plugins.page.typeset import duration, percent
@@ -25,7 +26,6 @@ from quadexp.report.notes import table_notes
 from quadexp.report.pairing import Condition, Groups, Row, condition_of, grouped
 from quadexp.report.significance import Tests
 from quadexp.report.statistics import Statistic
-from quadexp.report.summary import margin_line
 from quadexp.report.table import Table
 from quadexp.report.tables import comparison_table, error_table
 from quadexp.report.text import number, probability, shown, speed_text
@@ -222,7 +222,8 @@ def facts(comparison: Comparison, flights: Sequence[Record]) -> list[tuple[str, 
     models = {f"{f['model']}, sha256 {f.get('model_sha256', '')}" for f in flights if f.get("model")}
     created = comparison.record.get("provenance", {}).get("created", "")
     versions = ", ".join(f"{name} {version}" for name, version in versions_of(comparison.rows).items())
-    loops = ((flight.get("controller", ""), margin_line(flight.get("margins"))) for flight in flights)
+    texts = brought("services", "margin_texts")
+    loops = ((flight.get("controller", ""), texts.margin_line(flight.get("margins"))) for flight in flights if texts)
     entries = [
         ("Results", f"{len(comparison.rows)} flights, sha256 {comparison.digest}"),
         ("Files", " ".join(filter(None, (f"{comparison.checked.text()}.", *comparison.checked.lines())))),

@@ -107,6 +107,7 @@ class RLSMPC(PredictivePart):
     reference_period: s between new references from the identified coefficients; 0: never."""
 
     former_kind = "rls_mpc"
+    given = ("blade_element",)
     residual: Literal["blade_element"] = key("blade_element", RESIDUAL)
     reference_period: float = key(
         REQUIRED, "time between new references from the identified coefficients; 0: never", "[0, 3600]", "s"
