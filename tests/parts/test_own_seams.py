@@ -243,7 +243,7 @@ class TestMetric:
         bad = option(tmp_path / "lab", "metric", "bad", "bad_of_mine", METRIC.replace('"p_z"', '"p_q"'), "HeightError")
         short = ["controller=pid", "trajectory=hover", "trajectory.duration=0.2", "--conf", bad]
         code, _, error = run("evaluate", *short, "evaluate.metric=bad", "--out", tmp_path / "r")
-        assert code == 2 and "metric=bad: of(flight) raised" in error and error.count("\n") == 1, error
+        assert code == 2 and "metric=bad: of(flight): bad_of_mine.py, line " in error and error.count("\n") == 1, error
         nan = METRIC.replace("return ", "return np.nan * ")
         folder = option(tmp_path / "nan", "metric", "no_number", "no_number_of_mine", nan, "HeightError")
         words = ["evaluate", *short[:3], "--conf", folder, "evaluate.metric=no_number", "--no-figures"]

@@ -12,7 +12,7 @@ from quadexp.compile.memory import NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Belief, Window, no_belief
 from quadexp.control.control_step import Call, ControlStep, InCalls, InputArrays, call, copy, law_record
-from quadexp.control.inputs import Circumstances, at_start, places_of
+from quadexp.control.inputs import Circumstances, at_start, places_of, started
 from quadexp.control.wrapped import thrust_at_start
 from quadexp.models.residual import Residual
 from quadexp.parts.settings import Setting
@@ -69,7 +69,7 @@ class ExplicitController(InCalls):
         """See Controller.reset."""
         super().reset(x, window)
         self._places["belief"][...] = NO_BELIEF
-        start = self.law.start(self.vehicle, x)
+        start = started(self.law, self.law.start(self.vehicle, x), self.memory.sizes)
         if "sent" in self.memory.sizes:
             start |= at_start(self.vehicle, self._about, thrust_at_start(window, self.vehicle))
         self.memory.begin(start)
