@@ -6,10 +6,10 @@
         memory = {"integral": 3}  # m s
         logged = ("integral",)
 
-        def equations(self, vehicle, given, memory):
-            error = given.state[POSITION] - given.path[:, 0]
+        def equations(self, vehicle, inputs, memory):
+            error = inputs.state[POSITION] - inputs.path[:, 0]
             ...
-            return {"command": thrusts, "integral": memory.integral + given.period * error}
+            return {"command": thrusts, "integral": memory.integral + inputs.period * error}
 
 The equations are written once, in CasADi, and called when the controller is built. From them follow its step in C, the
 delays that its loop tolerates, its columns, and every compensation: observers, where they read a belief, L1, INDI,

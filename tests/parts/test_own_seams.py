@@ -366,6 +366,23 @@ class TestPlugIn:
             ("BRINGS = {'commands': {'laps': 'my_lab:x'}}", ["laps"], "laps: my_lab:x: module 'my_lab' has no"),
             ("x = 3\nBRINGS = {'commands': {'laps': 'my_lab:x'}}", ["laps"], "command laps: my_lab:x is no command of"),
             ("x = 3\nBRINGS = {'readers': {'tabs': 'my_lab:x'}}", ["import", "a.log"], "my_lab:x has no ABOUT"),
+            (
+                LAB.replace('flight: Annotated[Path, Ask("A flight.", "FLIGHT")]', "flight: Path"),
+                ["laps", "a.log"],
+                "command laps: flight needs a type: flight: Annotated[TYPE, Ask(TEXT)]",
+            ),
+            (
+                LAB.replace("    import quadexp as qx\n", "    return 3\n"),
+                ["laps", "a.log"],
+                "command laps: must return an Answer, not int",
+            ),
+            (
+                LAB.replace('"position"', '"positon"'),
+                ["import", "a.tabs"],
+                "reader tabs: a stream cannot be called 'positon'; did you mean position?",
+            ),
+            (LAB.replace("axis=1", "axis=0"), ["import", "a.tabs"], "position: values of shape (3, 9) for 9 times"),
+            (LAB.replace("t, *columns =", "*columns, t ="), ["import", "a.tabs"], "its times must be finite numbers"),
         ],
     )
     @needs()
@@ -376,6 +393,8 @@ class TestPlugIn:
         (folder / "my_lab.py").write_text(text)
         (record / "entry_points.txt").write_text("[quadexp.plugins]\nmy_lab = my_lab\n")
         (folder / "a.log").write_bytes(b"\x00\x01")
+        rows = "\n".join("\t".join([str(k), *"0000001000"]) for k in range(9))
+        (folder / "a.tabs").write_text(f"#mylab\n{rows}\n")
         done = apart(folder, *words)
         assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1, done.stderr
         assert apart(folder, "options", "wind").returncode == 0
