@@ -376,13 +376,6 @@ class TestPlugIn:
                 ["laps", "a.log"],
                 "command laps: must return an Answer, not int",
             ),
-            (
-                LAB.replace('"position"', '"positon"'),
-                ["import", "a.tabs"],
-                "reader tabs: a stream cannot be called 'positon'; did you mean position?",
-            ),
-            (LAB.replace("axis=1", "axis=0"), ["import", "a.tabs"], "position: values of shape (3, 9) for 9 times"),
-            (LAB.replace("t, *columns =", "*columns, t ="), ["import", "a.tabs"], "its times must be finite numbers"),
         ],
     )
     @needs()
@@ -393,8 +386,19 @@ class TestPlugIn:
         (folder / "my_lab.py").write_text(text)
         (record / "entry_points.txt").write_text("[quadexp.plugins]\nmy_lab = my_lab\n")
         (folder / "a.log").write_bytes(b"\x00\x01")
-        rows = "\n".join("\t".join([str(k), *"0000001000"]) for k in range(9))
-        (folder / "a.tabs").write_text(f"#mylab\n{rows}\n")
         done = apart(folder, *words)
         assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1, done.stderr
         assert apart(folder, "options", "wind").returncode == 0
+
+    @needs("logs", "check")
+    def test_what_a_reader_gives_is_checked(self, lab, tmp_path):
+        rows = "\n".join("\t".join([str(k), *"0000001000"]) for k in range(9))
+        (tmp_path / "a.tabs").write_text(f"#mylab\n{rows}\n")
+        shutil.copytree(lab / "my_lab-1.0.dist-info", tmp_path / "my_lab-1.0.dist-info")
+        for before, after, said in (
+            ('"position"', '"positon"', "a stream cannot be called 'positon'; did you mean position?"),
+            ("t, *columns =", "*columns, t =", "position: its times must be finite numbers"),
+        ):
+            (tmp_path / "my_lab.py").write_text(LAB.replace(before, after))
+            done = apart(tmp_path, "import", "a.tabs", "--out", "flights")
+            assert done.returncode == 1 and f"reader tabs: {said}" in done.stdout, done.stdout + done.stderr
