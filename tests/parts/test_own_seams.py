@@ -100,17 +100,8 @@ class TestLearnedModel:
             assert flown[controller]["residual"]["name"] == "lateral"
         code, out, _ = run("simulate", "controller=nominal_mpc", *own, "--out", tmp_path / "none.parquet", "--json")
         assert flown["nominal_mpc"]["mean_error"] < 0.6 * json.loads(out)["mean_error"]
-        fitted = (
-            "fit",
-            "linear_drag",
-            data,
-            "--after",
-            folder / "fitted",
-            "--conf",
-            folder,
-            "--out",
-            tmp_path / "rest",
-        )
+        fitted = ("fit", "linear_drag", data, "--after", folder / "fitted", "--conf", folder)
+        fitted = (*fitted, "--out", tmp_path / "rest")
         assert run(*fitted)[0] == 0
         sums = [
             "controller=sum_mpc", "controller.residual=[lateral,linear_drag]",
