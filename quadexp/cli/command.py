@@ -105,7 +105,7 @@ class Command:
         for function in (self.function, *self.alternatives.values()):
             hints = get_type_hints(function, include_extras=True)
             for name, parameter in inspect.signature(function).parameters.items():
-                hint = hints[name]
+                hint = hints.get(name)
                 if name in parameters or name == "form":  # set from --format and --json
                     continue
                 if isinstance(hint, type) and issubclass(hint, Settings):
@@ -117,7 +117,12 @@ class Command:
                 elif hint is typer.Context:
                     parameters[name] = inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=hint)
                 else:
-                    kind, ask = get_args(hint)
+                    arguments = get_args(hint)
+                    if len(arguments) != 2 or not isinstance(arguments[1], Ask):
+                        raise UsageError(
+                            f"command {self.name}: {name} needs a type: {name}: Annotated[TYPE, Ask(TEXT)]"
+                        )
+                    kind, ask = arguments
                     parameters[name] = _parameter(name, kind, ask, parameter.default)
         parameters["form"] = _parameter("form", str | None, FORMAT, None)
         parameters["json"] = _parameter("json", bool, JSON, False)
@@ -152,7 +157,10 @@ class Command:
         for name, value in values.items():
             if value and name not in (*takes, "form"):
                 self._refuse(name, value, _flag(asked[0]) if asked else "")
-        return function(**{name: values[name] for name in takes})
+        answer = function(**{name: values[name] for name in takes})
+        if not isinstance(answer, Answer):
+            raise UsageError(f"command {self.name}: must return an Answer, not {type(answer).__name__}")
+        return answer
 
     def _refuse(self, name: str, value: Any, asked: str) -> None:
         """UsageError for a parameter that what was asked for does not take. asked: its option, "" for none."""

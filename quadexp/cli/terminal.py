@@ -141,11 +141,9 @@ def guarded(command: str) -> Iterator[None]:
             raise _interrupted(command) from error
         if os.environ.get("QUADEXP_DEBUG"):
             raise
-        text = " ".join(str(error).split())[:300]
         modules = sys.modules.get("quadexp.parts.user_modules")
-        place = modules.place_of(error) if modules else ""
-        where = f"{place}: " if place else ""
-        raise fail(f"{where}{type(error).__name__}: {text} (QUADEXP_DEBUG=1 shows where)", 1) from error
+        what = modules.fault(error) if modules else f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+        raise fail(f"{what} (QUADEXP_DEBUG=1 shows where)", 1) from error
 
 
 def _interrupted(command: str) -> Exit:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Hashable
 from typing import Any
 
@@ -36,4 +37,11 @@ def _structure(argument: Any) -> Hashable:
     if hasattr(argument, "fingerprint"):
         return str(argument.fingerprint)
     function = getattr(argument, "function", argument)
-    return function.serialize() if hasattr(function, "serialize") else argument
+    if hasattr(function, "serialize"):
+        return str(function.serialize())
+    try:
+        hash(argument)
+    except TypeError:  # a part with a key that is a dict
+        return type(argument), pickle.dumps(argument)
+    hashable: Hashable = argument
+    return hashable

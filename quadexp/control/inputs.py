@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,8 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.base import N_BELIEF, Belief
 from quadexp.control.control_step import InputArrays
 from quadexp.control.delivered import Delays, delivered_thrust, kept_sizes
+from quadexp.errors import UsageError
+from quadexp.messages import suggestion
 from quadexp.models.residual import N_OUTPUTS, Residual
 from quadexp.physics.expression import symbols
 from quadexp.physics.rotation import air_velocity
@@ -74,6 +76,8 @@ class Inputs:
         self.period = about.period
         self.residual = residual
         self.air_thrusts = "thrusts"
+        self.commanded = False  # whether the controller inside has given its command
+        self.remembered: Collection[str] = ()  # names of what the equations remember
         self.kind = kind
         self._later = later
         n = vehicle.n_rotors
@@ -98,6 +102,8 @@ class Inputs:
         if name.startswith("_") or name not in self._shapes:
             names = ", ".join([*self._shapes, "delivered", "mean"])
             raise AttributeError(f"there is no input {name}; inputs are {names}, period")
+        if name == "command" and not self.commanded:
+            raise AttributeError("inputs.command is that of the controller inside, which only `after` of a layer knows")
         if name in AIR and not self._later:
             return self._air(name)
         b = self.symbol(name)
@@ -133,6 +139,9 @@ class Inputs:
             delays = self.about.delays
             coefficient = self.vehicle.thrust_coefficient
             sizes = kept_sizes(self.vehicle.n_rotors, delays)
+            if taken := sizes.keys() & self.remembered:
+                names = ", ".join(sorted(taken))
+                raise UsageError(f"memory: inputs.delivered remembers {names} of its own: choose another name")
             measured = None
             turning = 0
             if coefficient is not None and self.about.speeds:
@@ -165,6 +174,7 @@ class Symbols:
 
 def remembered(inputs: Inputs, sizes: Mapping[str, int]) -> Symbols:
     """What equations remember, by name."""
+    inputs.remembered = sizes.keys()
     return Symbols(inputs, NOW, sizes, "what is remembered")
 
 
@@ -184,3 +194,18 @@ def places_of(inputs: InputArrays, state: np.ndarray) -> dict[str, np.ndarray]:
 def at_start(vehicle: Vehicle, about: Circumstances, thrust: np.ndarray) -> dict[str, np.ndarray]:
     """What `delivered` remembers where this command, (n,) (N), has been sent for a long time."""
     return {"commands": np.tile(thrust, about.delays.pending), "thrust": thrust, "sent": thrust}
+
+
+def started(part: Any, values: Any, sizes: Mapping[str, int]) -> dict[str, Any]:
+    """What a part remembers at the start, as its `start` says it, checked. sizes: of what it remembers."""
+    what = f"start of {type(part).__name__}"
+    if not isinstance(values, Mapping):
+        raise UsageError(f"{what}: must return a dict of names and numbers, not {type(values).__name__}")
+    for name, numbers in values.items():
+        if name not in sizes:
+            raise UsageError(f"{what}: {name!r} is not remembered{suggestion(str(name), [*sizes])}")
+        symbolic = isinstance(numbers, ca.SX) or np.asarray(numbers).dtype == object
+        size = numbers.numel() if isinstance(numbers, ca.SX) else np.size(numbers)
+        if size not in (1, sizes[name]) or not (symbolic or np.isfinite(np.asarray(numbers, float)).all()):
+            raise UsageError(f"{what}: {name!r} is {numbers}; {sizes[name]} finite numbers are needed")
+    return dict(values)

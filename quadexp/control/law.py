@@ -6,10 +6,10 @@
         memory = {"integral": 3}  # m s
         logged = ("integral",)
 
-        def equations(self, vehicle, given, memory):
-            error = given.state[POSITION] - given.path[:, 0]
+        def equations(self, vehicle, inputs, memory):
+            error = inputs.state[POSITION] - inputs.path[:, 0]
             ...
-            return {"command": thrusts, "integral": memory.integral + given.period * error}
+            return {"command": thrusts, "integral": memory.integral + inputs.period * error}
 
 The equations are written once, in CasADi, and called when the controller is built. From them follow its step in C, the
 delays that its loop tolerates, its columns, and every compensation: observers, where they read a belief, L1, INDI,
@@ -40,8 +40,11 @@ from quadexp.models.build_context import BuildContext
 from quadexp.models.residual import Residual
 from quadexp.names import named
 from quadexp.parts.settings import Backend, keyed
-from quadexp.physics.expression import named_function
+from quadexp.parts.user_modules import fault
+from quadexp.physics.expression import NAN, holds_nan, named_function
 from quadexp.physics.vehicle import Vehicle
+
+TAKEN = {"held": "the number of rotors at a limit", "sent": "the command that was sent last"}  # names of no memory
 
 
 @keyed
@@ -117,8 +120,9 @@ def _outputs(law: Law, vehicle: Vehicle, inputs: Inputs) -> dict[str, Any]:
     kept = sizes_given(law, law.remembers(inputs))
     if not isinstance(law.logged, tuple) or not all(isinstance(name, str) for name in law.logged):
         raise UsageError(f'{type(law).__name__}.logged: must be a tuple of names, such as ("error",)')
-    sizes = {**dict.fromkeys(law.logged), "command": vehicle.n_rotors, **kept}
-    results = given_by(law, inputs, lambda: law.equations(vehicle, inputs, remembered(inputs, kept)), sizes)
+    needed = {*law.logged, "command", *kept}
+    sizes = {**dict.fromkeys(law.logged), "command": vehicle.n_rotors, "held": 1, **kept}
+    results = given_by(law, inputs, lambda: law.equations(vehicle, inputs, remembered(inputs, kept)), sizes, needed)
     refuse_unread(law, results, ("command", "held", *kept, *law.logged))
     outputs = {"command": results["command"], "held": results.get("held", saturated_count(vehicle, results["command"]))}
     outputs |= {NEXT + name: results[name] for name in kept} | inputs.left
@@ -147,7 +151,9 @@ def given_by(
     except NotImplementedError:
         raise UsageError(f"{what}: there are none") from None
     except Exception as error:
-        raise UsageError(f"{what}: {type(error).__name__}: {' '.join(str(error).split())[:200]}") from error
+        raise UsageError(f"{what}: {fault(error)}") from error
+    if inputs.kind is ca.SX and not part.shipped and holds_nan(ca.vertcat(*results.values())):
+        raise UsageError(f"{what}: {NAN}")
     for name, size in sizes.items():
         lacks = name not in results and (needed is None or name in needed)
         differs = name in results and size not in (None, results[name].numel())
@@ -167,6 +173,9 @@ def sizes_given(part: Any, sizes: Any) -> Mapping[str, int]:
         raise UsageError(
             f'memory of {type(part).__name__}: {sizes!r} must be a dict of names and numbers, {{"integral": 3}}'
         )
+    taken = {} if part.shipped else TAKEN
+    for name in taken.keys() & sizes.keys():
+        raise UsageError(f"memory of {type(part).__name__}: {name!r} is {taken[name]}: choose another name")
     known: Mapping[str, int] = sizes
     return known
 

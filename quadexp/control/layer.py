@@ -29,7 +29,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.base import N_BELIEF, Controller, Window, belief_of, no_belief
 from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, ControlStep, InputArrays, call, control_step_of, copy, in_calls, python
-from quadexp.control.inputs import Circumstances, Inputs, Symbols, at_start, places_of, remembered
+from quadexp.control.inputs import Circumstances, Inputs, Symbols, at_start, places_of, remembered, started
 from quadexp.control.law import given_by, refuse_unread, sizes_given
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
@@ -51,6 +51,7 @@ NO_BELIEF = np.hstack([*no_belief()])
 class LayerPart(Compensation):
     """A compensation that is equations, see the module. logged: columns, by the name of the result that has them."""
 
+    hooks = ("before", "after")
     logged: ClassVar[Mapping[str, tuple[str, ...]]] = {}
 
     def remembers(self, inputs: Inputs) -> Mapping[str, int]:
@@ -121,8 +122,18 @@ class Layer(WrappedController):
         for name in (*remembers, *part.logged):
             if name not in self.memory.sizes.keys() | self.results.keys():
                 raise UsageError(f"equations of {type(part).__name__}: neither `before` nor `after` gives {name!r}")
-        if "belief" in self.results and in_calls(wrapped):
-            self.results["belief"] = wrapped.believed_numbers  # type: ignore[attr-defined]  # its part saw to it
+        if "belief" in self.results:
+            self._check_believing()
+            if in_calls(wrapped):
+                self.results["belief"] = wrapped.believed_numbers  # type: ignore[attr-defined]
+
+    def _check_believing(self) -> None:
+        """Raise UsageError where the belief would reach nobody."""
+        name = type(self.part).__name__
+        if not self.part.believes:
+            raise UsageError(f"equations of {name}: `before` gives a belief: the class must say so, `believes = True`")
+        if not hasattr(self.wrapped, "believed_numbers" if in_calls(self.wrapped) else "believe"):
+            raise UsageError(f"equations of {name}: `before` gives a belief, and the controller inside reads none")
 
     def reset(self, x: np.ndarray, window: Window) -> None:
         """See Controller.reset."""
@@ -135,8 +146,9 @@ class Layer(WrappedController):
     def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
         """What is remembered as a flight begins, see `reset`; x, (13,), and thrust, (n,) (N), may be symbols."""
         start = at_start(self.vehicle, self.about, thrust) if self._remembers_sent else {}
-        start |= self.part.start(Inputs(self.vehicle, self.about, ca.SX), x, thrust)
-        return [(self.memory, {name: value for name, value in start.items() if name in self.memory.sizes})]
+        start = {name: value for name, value in start.items() if name in self.memory.sizes}
+        of_part = self.part.start(Inputs(self.vehicle, self.about, ca.SX), x, thrust)
+        return [(self.memory, start | started(self.part, of_part, self.memory.sizes))]
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step; the record is that of the controller's last step."""
@@ -221,6 +233,7 @@ def layer_functions(
     known = {"state", "belief", "command", *part.logged}
     for which in ("before", "after"):
         inputs = Inputs(vehicle, about, ca.MX, residual)
+        inputs.commanded = which == "after"
         kept = sizes_given(part, part.remembers(inputs))
         memory = remembered(inputs, kept)
         before = Symbols(inputs, FOUND, sizes, "what `before` gave")

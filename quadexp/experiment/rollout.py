@@ -391,10 +391,10 @@ class _Log:
         columns["solve_time"] = record["solve_time"]
         columns |= {name: record[name].astype(kind) for name, kind in counts.items()}
         columns |= {"kkt": record["kkt"], "unconverged": (record["converged"] == 0).astype(np.int8)}
-        columns |= named(inner_names, self.inner[flown].T)
-        if len(self.estimate):
-            columns |= {f"est_{n}": v for n, v in zip(STATE_COLUMNS, self.estimate[flown].T, strict=True)}
-        if taken := [name for name in self.extra_names if name in columns]:
-            raise UsageError(f"logged: {taken[0]} is a column of every flight: name what the controller logs otherwise")
-        columns |= named(self.extra_names, self.extra[flown].T)
+        estimates = [f"est_{name}" for name in STATE_COLUMNS] if len(self.estimate) else []
+        more = (inner_names, self.inner), (estimates, self.estimate), (self.extra_names, self.extra)
+        for whose, (names, values) in zip(("columns", "columns", "logged"), more, strict=True):
+            if taken := [name for name in names if name in columns]:
+                raise UsageError(f"{whose}: {taken[0]} is a column of every flight: choose another name for it")
+            columns |= named(names, values[flown].T if names else ())
         return {name: np.ascontiguousarray(values) for name, values in columns.items()}

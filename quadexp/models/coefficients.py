@@ -24,7 +24,7 @@ from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag, baseline
 from quadexp.models.residual import Residual, feature_names, symbolic_residual
 from quadexp.parts.settings import keyed
-from quadexp.physics.expression import Expression, symbols
+from quadexp.physics.expression import NAN, Expression, holds_nan, symbols
 from quadexp.physics.vehicle import Vehicle
 
 
@@ -62,6 +62,8 @@ class Equation(ModelPart):
         value = ca.SX(self.acceleration(z, theta))
         if value.shape != (3, 1):
             raise UsageError(f"model={self.kind}: acceleration gives the shape {value.shape}; (3, 1) is needed")
+        if holds_nan(value):
+            raise UsageError(f"model={self.kind}: equations of acceleration: {NAN}")
         return z, theta, value
 
     def features(self, n_rotors: int) -> list[str]:

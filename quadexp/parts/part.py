@@ -28,8 +28,9 @@ from quadexp.errors import ModuleError, UsageError
 from quadexp.messages import suggestion
 from quadexp.names import without
 from quadexp.parts.former import names_of
+from quadexp.parts.own_class import check_own_class
 from quadexp.parts.settings import Name, Settings, keyed, record
-from quadexp.parts.user_modules import OWN, generation, import_from, lies_outside, load, own_folders
+from quadexp.parts.user_modules import OWN, fault, generation, import_from, lies_outside, load, own_folders
 
 TARGET = "_target_"  # key of an option that names the class of its part
 
@@ -43,6 +44,7 @@ class Part(Settings):
     added: keys that it did not always have, recorded where they are not as usual.
     age_key: that of the age of the measured state, which `timing.age` gives, where it has one.
     makes: the command that makes what its key `model` names, where that is no model of the air.
+    hooks: methods of which a class that is derived from this one needs one at least, as it does nothing without.
     """
 
     former_kind: ClassVar[str] = ""
@@ -50,6 +52,7 @@ class Part(Settings):
     added: ClassVar[tuple[str, ...]] = ()
     age_key: ClassVar[str] = "age"
     makes: ClassVar[str] = ""
+    hooks: ClassVar[tuple[str, ...]] = ()
 
     name: Name = "unnamed"
 
@@ -148,6 +151,8 @@ def part_class(key: str, target: str) -> type[Part]:
         raise UsageError(f"{said}: is no part: it must be a class derived from quadexp.parts.part.Part")
     if target_class.prefix not in ("", f"{key}."):
         raise UsageError(f"{said}: is a part of {target_class.prefix.rstrip('.')}, not of {key}")
+    if target_class.__module__.partition(".")[0] != OWN:
+        check_own_class(target_class, OWN)  # type: ignore[arg-type]  # of a class, not of its objects
     return target_class
 
 
@@ -162,9 +167,9 @@ def imported(said: str, target: str) -> Any:
     try:
         module = load(module_name)
     except (ImportError, UsageError) as error:
-        raise ModuleError(f"{said}: {error}") from None
+        raise ModuleError(f"{said}: {fault(error)}") from None
     except (Exception, SystemExit) as error:
-        raise UsageError(f"{said}: importing {module_name} raised {type(error).__name__}: {error}") from error
+        raise UsageError(f"{said}: importing {module_name}: {fault(error)}") from error
     named = getattr(module, attribute, None)
     if named is None:
         hint = suggestion(attribute, [name for name in vars(module) if not name.startswith("_")])

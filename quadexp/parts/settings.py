@@ -17,7 +17,7 @@ import contextlib
 import functools
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields
 from math import isfinite
 from types import NoneType
@@ -84,6 +84,12 @@ class Setting:
 def key(default: Any, meaning: str | Setting, *about: Any, **more: Any) -> Any:
     """A field of a class of settings: its default, REQUIRED for none, and what Setting says of it, or a Setting."""
     setting = meaning if isinstance(meaning, Setting) else Setting(meaning, *about, **more)
+    kept = isinstance(default, (Hashable, dict))
+    if not kept:
+        raise UsageError(
+            f"a key ({setting.meaning}): its default is a {type(default).__name__}; write a tuple, such as (1.0, 2.0),"
+            " and the type tuple[float, ...]"
+        )
     default_value = {} if default is REQUIRED else {"default": default}
     if isinstance(default, dict):
         default_value = {"default_factory": default.copy}
@@ -177,6 +183,11 @@ def _declared(node: type) -> dict[str, Declared]:
         origin = get_origin(kind)
         words = arguments if origin is Literal else setting.words
         length = len(arguments) if origin is tuple and arguments[-1] is not Ellipsis else 0
+        path = f"{node.__qualname__}.{f.name}"
+        if setting.interval and not _INTERVAL.fullmatch(setting.interval):
+            raise UsageError(f"{path}: its range is {setting.interval!r}; write [0, 100], or (0, 100] without 0")
+        if (origin or kind) in (list, set, tuple) and not (origin is tuple and arguments):
+            raise UsageError(f"{path}: its type is a {(origin or kind).__name__}; write tuple[float, ...]")
         settings[f.name] = Declared(f.name, kind, setting, optional, words, length, f)
     return settings
 

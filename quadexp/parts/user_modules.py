@@ -23,13 +23,28 @@ from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec, PathFinder, Sour
 from pathlib import Path
 from types import ModuleType
 
-from quadexp.errors import UsageError
+from quadexp.errors import QuadexpError, UsageError
 from quadexp.names import sha256_of
+from quadexp.plugin import ENTRY_POINTS as PLUGINS
 from quadexp.plugin import entry_points
 from quadexp.provenance import content_hash, follow, named_files, place_hash
 
 OWN = "quadexp"  # the package whose classes any option may name
 ENTRY_POINTS = "quadexp.conf"  # group of the entry points of plugin packages
+BRANCHES = (
+    "`if`, `and`, `or`, `max` and `min` need numbers, and this is an expression: write ca.if_else(CONDITION, A, B),"
+    " ca.logic_and, ca.logic_or, ca.fmax, ca.fmin"
+)
+# What a library says of a mistake that is often made -> what to write instead.
+ADVICE = {
+    "truth value of a CasADi": BRANCHES,
+    "truth value of a numeric MX": BRANCHES,
+    "could have a truth value": BRANCHES,
+    "not iterable by design": "max, min, sum and sorted are ca.mmax, ca.mmin, ca.sum1 and ca.sort",
+    "'to_double' not defined": "math.sqrt and float need numbers, and this is an expression: write ca.sqrt",
+    "relative import with no known parent": "a module imports another one of its folder by its name: import helper",
+    "non-frozen dataclass": "the decorator is: dataclass(frozen=True, kw_only=True)",
+}
 
 _folders: list[Path] = []  # given with --conf
 _places: dict[str, Path] = {}  # file, or folder without one, of modules that are executed here
@@ -169,15 +184,27 @@ def modules_of(names: Iterable[str]) -> tuple[dict[str, str], set[str], dict[str
 
 def place_of(error: BaseException) -> str:
     """Where in a user's module an error came up, as FILE, line N; "" where none was running."""
-    files = {str(path): path for path in _places.values()}
+    files = set(map(str, _places.values()))
+    packages = {value.partition(".")[0].partition(":")[0] for value in entry_points(PLUGINS).values()}
     place = ""
     trace = error.__traceback__
     while trace is not None:
         file = trace.tb_frame.f_code.co_filename
-        if file in files:
-            place = f"{files[file].name}, line {trace.tb_lineno}"
+        module = str(trace.tb_frame.f_globals.get("__name__"))
+        if file in files or module.partition(".")[0] in packages:
+            place = f"{Path(file).name}, line {trace.tb_lineno}"
         trace = trace.tb_next
     return place
+
+
+def fault(error: BaseException) -> str:
+    """An error that came up in a user's module in one line: where, what was raised, and what to write instead."""
+    text = " ".join(str(error).split())[:300]
+    advice = next((words for said, words in ADVICE.items() if said in text), "")
+    kind = "" if isinstance(error, QuadexpError) else type(error).__name__
+    place = "" if isinstance(error, SyntaxError) else place_of(error)  # whose text says it
+    raised = ": ".join(filter(None, (place, kind, text)))
+    return f"{raised}; {advice}" if advice else raised
 
 
 def generation() -> int:

@@ -7,6 +7,7 @@ return named_function("law", given, {"command": command})
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from itertools import accumulate
 from typing import Any, TypeAlias
@@ -24,6 +25,16 @@ CasADi's three types share no base class, so the type checker sees Any; shapes, 
 def limited(value: Expression, low: Expression, high: Expression) -> Expression:
     """The value, or the end of [low, high] that it lies beyond; element by element."""
     return ca.fmin(ca.fmax(value, low), high)
+
+
+def holds_nan(value: Expression) -> bool:
+    """Whether a number in an SX is NaN: this is what float and math.sqrt make of a symbol, without a word."""
+    function = ca.Function("value", ca.symvar(value), [value])
+    constants = (i for i in range(function.n_instructions()) if function.instruction_id(i) == ca.OP_CONST)
+    return any(math.isnan(function.instruction_constant(i)) for i in constants)
+
+
+NAN = "a number in them is NaN, as float and math.sqrt make one of an expression: write ca.sqrt"
 
 
 def split(vector: Expression, sizes: Iterable[int]) -> list[Expression]:

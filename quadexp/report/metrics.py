@@ -27,6 +27,7 @@ from quadexp.log.schema import Flight
 from quadexp.names import named, without
 from quadexp.parts.part import Part
 from quadexp.parts.settings import keyed
+from quadexp.parts.user_modules import fault
 from quadexp.physics.state import ATTITUDE, POSITION, STATE_COLUMNS, VELOCITY, norms, root_mean_square
 from quadexp.report.table import csv_text
 
@@ -159,6 +160,10 @@ class FlightMetric(Part):
 def declare(metrics: Iterable[Metric]) -> None:
     """Have tables, figures and conditions know a user's metrics. Raises UsageError where a name is taken."""
     for metric in metrics:
+        texts = isinstance(metric.title, str) and isinstance(metric.unit, str)
+        if not texts or not isinstance(metric.factor, (int, float)) or not 0 < abs(metric.factor) < math.inf:
+            about = f"title {metric.title!r}, unit {metric.unit!r}, factor {metric.factor!r}"
+            raise UsageError(f"metric={metric.name}: {about}: two texts and a number that is not 0 are needed")
         if metric.name in (*ROW_COLUMNS, *_KNOWN):
             raise UsageError(f"metric={metric.name}: results have a column of that name: choose another one")
         _own[metric.name] = metric
@@ -204,16 +209,29 @@ def is_measured() -> bool:
 def measured(flight: Flight) -> dict[str, float]:
     """The user's metrics of a flight. Raises UsageError where one fails, or gives no number."""
     values = {}
+    fixed = Flight({name: _fixed(column) for name, column in flight.columns.items()}, flight.metadata)
     for metric in _own.values():
         values[metric.name] = math.nan
         if metric.function is None or not len(flight) or (metric.error and flight.outcome not in COMPLETED):
             continue
         try:
-            values[metric.name] = float(metric.function(Flown(flight, math.nan, math.nan)))
+            values[metric.name] = _finite(metric.function(Flown(fixed, math.nan, math.nan)))
         except Exception as error:
-            said = " ".join(str(error).split())[:200]
-            raise UsageError(f"metric={metric.name}: of(flight) raised {type(error).__name__}: {said}") from error
+            raise UsageError(f"metric={metric.name}: of(flight): {fault(error)}") from error
     return values
+
+
+def _fixed(column: np.ndarray) -> np.ndarray:
+    """A column that a metric cannot write into: it may be stored after it."""
+    view = column.view()
+    view.flags.writeable = False
+    return view
+
+
+def _finite(value: Any) -> float:
+    """A number, or NaN, of which tables say that there is none."""
+    number = float(value)
+    return number if math.isfinite(number) else math.nan
 
 
 def position_error(flight: Flight) -> np.ndarray:

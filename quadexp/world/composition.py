@@ -23,6 +23,7 @@ from quadexp.physics.expression import split, symbols
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
+from quadexp.world.asked import asked, measured_by
 from quadexp.world.effect import Clock, Effect, Measured, Moment, Readings, Sizes
 from quadexp.world.integrator import INPUTS, OUTPUTS, Equations, period
 
@@ -203,14 +204,14 @@ class _Parts:
     def chosen(self, of_effects: Any, which: list[int]) -> Any:
         """The inner states of some effects, of those of all."""
         pieces = self._cut(of_effects, "inner")
-        return ca.vertcat(of_effects[:0], *(pieces[i] for i in which))
+        return ca.vertcat(type(of_effects)(0, 1), *(pieces[i] for i in which))
 
     def assembled(self, moved: Any, of_effects: Any) -> Any:
         """The inner states of all effects: `moved` of those that change from step to step, the others' from
         `of_effects`."""
         pieces = self._cut(of_effects, "inner")
         self._place(pieces, self.moving, moved)
-        return ca.vertcat(of_effects[:0], *pieces)
+        return ca.vertcat(type(of_effects)(0, 1), *pieces)
 
     def _place(self, pieces: list[Any], which: list[int], values: Any) -> None:
         """Put the inner states of some effects, one after another, where those of each stand."""
@@ -252,10 +253,9 @@ class _Parts:
     def inner_after(self, hook: str, *names: str) -> ca.Function:
         """(symbols of these names, with "thrusts" also those that enter each effect ..) -> own after a hook."""
         symbols, moments = self._moments_of(names)
-        inner = [
-            getattr(effect, hook)(at) if effect.has(hook) else at.inner
-            for effect, at in zip(self._effects, moments, strict=True)
-        ]
+        inner = []
+        for effect, at in zip(self._effects, moments, strict=True):
+            inner.append(asked(effect, hook, at, sizes=(at.inner.numel(),)) if effect.has(hook) else at.inner)
         return self._function(hook, symbols, [ca.vertcat(*inner)])
 
     def _moments_of(self, names: tuple[str, ...]) -> tuple[list[Any], list[Moment]]:
@@ -277,12 +277,12 @@ class _Parts:
         wind = self._kind.zeros(WIND)
         for effect, at in zip(self._effects, moments, strict=True):
             if effect.has("wind"):
-                wind += effect.wind(at)
+                wind += asked(effect, "wind", at, sizes=(WIND,))
         entering = []
         for effect, at in zip(self._effects, moments, strict=True):
             entering.append(command)
             if effect.has("thrusts"):
-                command = effect.thrusts(at._replace(command=command, wind=wind))
+                command = asked(effect, "thrusts", at._replace(command=command, wind=wind), sizes=(command.numel(),))
         return self._function("drive", symbols, [wind, command, *entering])
 
     def pushes(self) -> ca.Function:
@@ -292,7 +292,7 @@ class _Parts:
         torque = self._kind.zeros(3)
         for effect, at in zip(self._effects, moments, strict=True):
             if effect.has("wrench"):
-                more = effect.wrench(at)
+                more = asked(effect, "wrench", at, sizes=(3, 3))
                 force = force + more[0]
                 torque = torque + more[1]
         return self._function("pushes", symbols, [force, torque])
@@ -385,7 +385,7 @@ class _Parts:
             self._effects, self._cut(of_effects, "inner"), self._cut(parameters, "parameters"), strict=True
         ):
             if effect.has("ended"):
-                doubt = ca.fmax(doubt, effect.ended(inner, theta))
+                doubt = ca.fmax(doubt, asked(effect, "ended", inner, theta, sizes=(1,)))
         return doubt
 
     def measured(self, seen: Readings, measured: Measured) -> tuple[Any, Measured]:
@@ -395,6 +395,6 @@ class _Parts:
         cut = [self._cut(getattr(seen, name), name) for name in ("inner", "parameters", "draws")]
         for effect, inner, theta, drawn in zip(self._effects, *cut, strict=True):
             if effect.has("measure"):
-                inner, measured = effect.measure(seen._replace(inner=inner, parameters=theta, draws=drawn), measured)
+                inner, measured = measured_by(effect, seen, (inner, theta, drawn), measured)
             inner_states.append(inner)
         return ca.vertcat(*inner_states), measured

@@ -136,6 +136,9 @@ class Effect(Part):
 
     stage: ClassVar[str]
     symbols: ClassVar[str] = "SX"
+    hooks = (
+        "begin", "wind", "thrusts", "wrench", "advance", "end", "measure", "ended", "true_vehicle", "stated", "first",
+    )  # fmt: skip
 
     @property
     def part(self) -> str:
@@ -244,6 +247,10 @@ class Effect(Part):
 
 def ordered(effects: list[Effect]) -> tuple[Effect, ...]:
     """Effects in the order of STAGES. Raises UsageError for two with one random stream."""
+    for effect in effects:
+        stage = getattr(effect, "stage", "none")
+        if stage not in STAGES:
+            raise UsageError(f"{effect.class_path}: its stage is {stage!r}; it must be one of {', '.join(STAGES)}")
     parts = [effect.part for effect in effects]
     twice = next((part for part in parts if parts.count(part) > 1), None)
     if twice:

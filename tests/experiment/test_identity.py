@@ -237,7 +237,7 @@ class TestOneProcess:
         folder = place(tmp_path / "mine", 1.0)
         assert flown_height(folder) == 1.0
         (folder / "same_helper.py").write_text("HEIGHT = (\n")
-        with pytest.raises(UsageError, match="importing same_name raised SyntaxError"):
+        with pytest.raises(UsageError, match="importing same_name: SyntaxError"):
             flown_height(folder)
         assert flown_height(place(folder, 3.0)) == 3.0
 

@@ -217,7 +217,7 @@ def test_a_wrong_option_is_told_to_who_takes_it_and_to_nobody_else(folder):
     (mine / "ends_of_a_test.py").write_text("raise SystemExit(3)\n")
     folder("controller/other", "_target_: ends_of_a_test.Own\n")
     code, out, err = run("simulate", "--conf", mine, "controller=mine")
-    assert code == 2 and "importing ends_of_a_test raised SystemExit: 3" in err and not out
+    assert code == 2 and "importing ends_of_a_test: ends_of_a_test.py, line 1: SystemExit: 3" in err and not out
     assert "wind.velocity" in {record.get("key") for record in listed("velocity", mine)}
 
 

@@ -100,17 +100,8 @@ class TestLearnedModel:
             assert flown[controller]["residual"]["name"] == "lateral"
         code, out, _ = run("simulate", "controller=nominal_mpc", *own, "--out", tmp_path / "none.parquet", "--json")
         assert flown["nominal_mpc"]["mean_error"] < 0.6 * json.loads(out)["mean_error"]
-        fitted = (
-            "fit",
-            "linear_drag",
-            data,
-            "--after",
-            folder / "fitted",
-            "--conf",
-            folder,
-            "--out",
-            tmp_path / "rest",
-        )
+        fitted = ("fit", "linear_drag", data, "--after", folder / "fitted", "--conf", folder)
+        fitted = (*fitted, "--out", tmp_path / "rest")
         assert run(*fitted)[0] == 0
         sums = [
             "controller=sum_mpc", "controller.residual=[lateral,linear_drag]",
@@ -243,7 +234,7 @@ class TestMetric:
         bad = option(tmp_path / "lab", "metric", "bad", "bad_of_mine", METRIC.replace('"p_z"', '"p_q"'), "HeightError")
         short = ["controller=pid", "trajectory=hover", "trajectory.duration=0.2", "--conf", bad]
         code, _, error = run("evaluate", *short, "evaluate.metric=bad", "--out", tmp_path / "r")
-        assert code == 2 and "metric=bad: of(flight) raised" in error and error.count("\n") == 1, error
+        assert code == 2 and "metric=bad: of(flight): bad_of_mine.py, line " in error and error.count("\n") == 1, error
         nan = METRIC.replace("return ", "return np.nan * ")
         folder = option(tmp_path / "nan", "metric", "no_number", "no_number_of_mine", nan, "HeightError")
         words = ["evaluate", *short[:3], "--conf", folder, "evaluate.metric=no_number", "--no-figures"]
@@ -366,6 +357,16 @@ class TestPlugIn:
             ("BRINGS = {'commands': {'laps': 'my_lab:x'}}", ["laps"], "laps: my_lab:x: module 'my_lab' has no"),
             ("x = 3\nBRINGS = {'commands': {'laps': 'my_lab:x'}}", ["laps"], "command laps: my_lab:x is no command of"),
             ("x = 3\nBRINGS = {'readers': {'tabs': 'my_lab:x'}}", ["import", "a.log"], "my_lab:x has no ABOUT"),
+            (
+                LAB.replace('flight: Annotated[Path, Ask("A flight.", "FLIGHT")]', "flight: Path"),
+                ["laps", "a.log"],
+                "command laps: flight needs a type: flight: Annotated[TYPE, Ask(TEXT)]",
+            ),
+            (
+                LAB.replace("    import quadexp as qx\n", "    return 3\n"),
+                ["laps", "a.log"],
+                "command laps: must return an Answer, not int",
+            ),
         ],
     )
     @needs()
@@ -379,3 +380,16 @@ class TestPlugIn:
         done = apart(folder, *words)
         assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1, done.stderr
         assert apart(folder, "options", "wind").returncode == 0
+
+    @needs("logs", "check")
+    def test_what_a_reader_gives_is_checked(self, lab, tmp_path):
+        rows = "\n".join("\t".join([str(k), *"0000001000"]) for k in range(9))
+        (tmp_path / "a.tabs").write_text(f"#mylab\n{rows}\n")
+        shutil.copytree(lab / "my_lab-1.0.dist-info", tmp_path / "my_lab-1.0.dist-info")
+        for before, after, said in (
+            ('"position"', '"positon"', "a stream cannot be called 'positon'; did you mean position?"),
+            ("t, *columns =", "*columns, t =", "position: its times must be finite numbers"),
+        ):
+            (tmp_path / "my_lab.py").write_text(LAB.replace(before, after))
+            done = apart(tmp_path, "import", "a.tabs", "--out", "flights")
+            assert done.returncode == 1 and f"reader tabs: {said}" in done.stdout, done.stdout + done.stderr

@@ -12,7 +12,7 @@ from quadexp.compile.memory import NOW, Memory, connected, sizes_of
 from quadexp.compile.symbolic import ca
 from quadexp.control.base import Belief, Window, no_belief
 from quadexp.control.control_step import Call, ControlStep, InCalls, InputArrays, call, copy, law_record
-from quadexp.control.inputs import Circumstances, at_start, places_of
+from quadexp.control.inputs import Circumstances, at_start, places_of, started
 from quadexp.control.wrapped import thrust_at_start
 from quadexp.models.residual import Residual
 from quadexp.parts.settings import Setting
@@ -75,7 +75,8 @@ class ExplicitController(InCalls):
     def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
         """See Layer."""
         sent = at_start(self.vehicle, self._about, thrust) if "sent" in self.memory.sizes else {}
-        return [(self.memory, self.law.start(self.vehicle, x) | sent)]
+        of_law = started(self.law, self.law.start(self.vehicle, x), self.memory.sizes)
+        return [(self.memory, of_law | sent)]
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step."""

@@ -74,6 +74,8 @@ def linear_loop(
             raise UnknownLoopError(str(error)) from None
         if not all(np.isfinite(part).all() for phase in phases for part in phase):
             raise UnknownLoopError("its derivatives are not finite")
+        if not any(phase.B.any() for phase in phases):
+            raise UnknownLoopError("the rotors follow no command, such as one beyond their limits")
         if any(phase.C.any() for phase in phases):
             break
     else:

@@ -154,8 +154,10 @@ class INDI(LayerPart):
     def start(self, inputs: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
         """See LayerPart: as if rates and thrusts of the start had always been there."""
         values = np.concatenate([x[RATE], np.sqrt(thrust)])
-        rates = np.tile(x[RATE], kept_size(3, inputs.about.late, inputs.period) // 3)
-        return {"low_pass": settled_memory(self, values), "filtered": values, "rates": rates}
+        start = {"low_pass": settled_memory(self, values), "filtered": values}
+        if inputs.about.late:
+            start["rates"] = np.tile(x[RATE], kept_size(3, inputs.about.late, inputs.period) // 3)
+        return start
 
     def after(self, vehicle: Vehicle, inputs: Inputs, memory: Any, before: Any) -> dict[str, Any]:
         """The thrusts of `indi_function`."""

@@ -23,7 +23,7 @@ from quadexp.plugin import service
 from quadexp.plugins.logs.importers.assemble import SHORTEST, assemble
 from quadexp.plugins.logs.importers.mapping import Mapping, load_mapping
 from quadexp.plugins.logs.importers.raw import RawLog, corrected, read_mapped
-from quadexp.plugins.logs.importers.readers import reader_of, readers
+from quadexp.plugins.logs.importers.readers import read_by, reader_of, readers
 from quadexp.plugins.logs.importers.readers.csv import ready_mappings
 from quadexp.plugins.logs.importers.table import open_table
 from quadexp.plugins.logs.signal import GAP_PERIODS, Stream, derivative, numbered
@@ -117,9 +117,9 @@ def read_log(path: Path, form: str, mapping: Mapping | None) -> RawLog:
     if form not in ("auto", kind) and not (kind == "csv" and form in ready()):
         raise DataError(f"{path}: its content is {kind}, not --log-format {form}")
     if mapping is None:
-        return readers()[kind].read(path, form)
+        return read_by(kind, path, form)
     if mapping.format == kind:
-        log = readers()[kind].read(path, form)
+        log = read_by(kind, path, form)
         log.crop = mapping.crop
         for correction in mapping.corrections:
             log.streams = corrected(log.streams, correction)

@@ -89,6 +89,8 @@ class Prediction(KnownDelay):
 
     def start(self, inputs: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
         """See LayerPart."""
+        if not self._parts(inputs.about):
+            return {}
         return {"commands": np.tile(thrust, self._count(inputs.about)), "believed": NO_BELIEF}
 
     def before(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:

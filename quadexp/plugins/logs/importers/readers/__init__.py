@@ -13,8 +13,12 @@ from functools import cache
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from quadexp.errors import DataError, UsageError
-from quadexp.plugin import brought, places
+from quadexp.messages import suggestion
+from quadexp.plugin import brought, places, shipped_places
+from quadexp.plugins.logs.importers.quantities import QUANTITIES
 from quadexp.plugins.logs.importers.raw import RawLog
 
 HEAD = 4096  # bytes
@@ -64,6 +68,25 @@ def readers() -> dict[str, Reader]:
         if lacking:
             raise UsageError(f"reader {name}: {places('readers')[name]} has no {', '.join(lacking)}")
     return modules
+
+
+def read_by(kind: str, path: Path, named: str) -> RawLog:
+    """The log, by the reader of a format. Raises UsageError where one from outside gives something else."""
+    log = readers()[kind].read(path, named)
+    if kind in shipped_places("readers"):
+        return log
+    said = f"reader {kind}"
+    if not isinstance(log, RawLog):
+        raise UsageError(f"{said}: read must return a RawLog, not {type(log).__name__}")
+    for name, stream in log.streams.items():
+        if name not in QUANTITIES:
+            raise UsageError(f"{said}: a stream cannot be called {name!r}{suggestion(name, [*QUANTITIES])}")
+        t = np.asarray(stream.t)
+        if t.ndim != 1 or not len(t) or not np.isfinite(t).all() or (np.diff(t) <= 0).any():
+            raise UsageError(f"{said}: {name}: its times must be finite numbers, (k,), each after the one before")
+        if np.ndim(stream.values) != 2 or len(stream.values) != len(t):
+            raise UsageError(f"{said}: {name}: values of shape {np.shape(stream.values)} for {len(t)} times: (k, n)")
+    return log
 
 
 def reader_of(path: Path) -> str:
