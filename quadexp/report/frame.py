@@ -3,12 +3,6 @@
 The value is that of the configuration stored with the flight; `model.inducing` and the like are settings of the fit of
 its checkpoint, as long as that is where the flight found it. A cell without a flight (invalid, failed) has no file:
 the overrides that asked for it are in the record of the results.
-
-Conditions, such as `plant == simplified and speed > 6`, are evaluated by pandas as `DataFrame.query` does. A word that
-is a column of the results or a key of the configuration stands for its values, any other one for a text. A number may
-have a unit (5 mm); without one it has that of the tables beside a metric (`mean_error < 5` is in mm) and that of the
-configuration beside a key. What pandas reads is put together from known columns, signs and literals: no name, call or
-attribute of the condition gets there. As in pandas, a missing value fulfils no comparison but `!=` and `not in`.
 """
 
 from __future__ import annotations
@@ -16,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
@@ -35,7 +28,6 @@ from quadexp.parts.schema import PARTS, REMEDIES, WORLD
 from quadexp.parts.settings import canonical_text, flat, read_value
 from quadexp.report.metrics import ROW_COLUMNS, TEXT_COLUMNS, declare_record, from_columns, is_own
 from quadexp.report.pairing import setting_pairs
-from quadexp.report.text import shown
 
 RESULTS = "results.parquet"
 ALIASES = {"speed": "trajectory.speed"}
@@ -46,20 +38,6 @@ SAME = ("vehicle", "plant", "trajectory", "controller", "model", "variant", "sou
 MOST_GONE = 3  # of them that are tried where files are missing
 MILLISECONDS = 0.1  # s, below which times are printed in milliseconds
 SETTINGS_ASIDE = ("evaluate", "engine", "experiment", "collect", *SPELLINGS)  # nodes that decide no flight
-# Of a condition.
-UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "us": 1e-6, "ms": 1e-3, "s": 1.0, "deg": math.pi / 180, "%": 0.01}
-SIGNS = {"=": "==", "<>": "!=", "&&": "and", "||": "or"}
-LITERALS = {"true": "True", "false": "False"}
-_TOKEN = re.compile(
-    r"""\s*(?:(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s?(?P<unit>mm|cm|us|ms|deg|m|s|%)?(?![\w.])
-    |(?P<joint>(?:and|or|not|in)\b)
-    |(?P<word>[^\W\d][\w.+/:*?-]*)|(?P<text>'[^']*'|"[^"]*")
-    |(?P<sign>==|!=|<>|<=|>=|&&|\|\||[=<>()\[\],]))""",
-    re.VERBOSE | re.IGNORECASE,
-)
-
-_VECTOR = re.compile(r"""(?:([^\W\d][\w.]*)\s*(==?|!=|<>)|([\[,]))\s*(\[[^\[\]'"]*\])""")  # a list that is one value
-
 Row = Mapping[str, Any]
 
 
@@ -127,22 +105,31 @@ class SweepFrame:
     @cached_property
     def names(self) -> list[str]:
         """The columns of the results, and every key of a flight."""
-        names = dict.fromkeys((*ROW_COLUMNS, *filter(is_own, self.rows[0] if self.rows else ()), *GROUPS))
+        names = list(ROW_COLUMNS)
+        for row in self.rows[:1]:
+            names += filter(is_own, row)
+        names += GROUPS
         for row in self.rows[:: max(1, len(self.rows) // 20)]:
-            names |= dict.fromkeys((*self._config(row), *(f"model.{key}" for key in self._of_checkpoint(row["model"]))))
-        return list(names)
+            names += self._config(row)
+            names += [f"model.{key}" for key in self._of_checkpoint(row["model"])]
+        return distinct(names)
 
     @cached_property
     def swept(self) -> list[str]:
         """The keys that take several values, the one that varies slowest first; the seed among them."""
-        texts = dict.fromkeys(text for grid in self.record.get("grids") or () for axis in grid for text in axis)
-        asked = [key for key, count in Counter(text.partition("=")[0] for text in texts).items() if count > 1]
-        asked += [key for row in self.rows for key, _ in setting_pairs(row["variant"])]
+        texts = distinct(text for grid in self.record.get("grids") or () for axis in grid for text in axis)
+        values_of = Counter(text.partition("=")[0] for text in texts)
+        asked = [key for key, count in values_of.items() if count > 1]
+        for row in self.rows:
+            asked += [key for key, _ in setting_pairs(row["variant"])]
         parts = {"plant": ("world", *WORLD), "controller": ("remedies", *REMEDIES), "trajectory.speed": ("speed",)}
         named = {key.partition(".")[0] for key in asked}
         asked += [key for key in ASKED if not named.intersection(parts.get(key, ()))]
-        asked = [key for key in dict.fromkeys(asked) if key.partition(".")[0] not in SETTINGS_ASIDE]
-        return [key for key in asked if len(self.values(key)) > 1]
+        swept = []
+        for key in distinct(asked):
+            if key.partition(".")[0] not in SETTINGS_ASIDE and len(self.values(key)) > 1:
+                swept.append(key)
+        return swept
 
     def values(self, name: str) -> list[Any]:
         """The different values of a column, without None; numbers sorted, texts in the order of the rows."""
@@ -152,8 +139,11 @@ class SweepFrame:
     def controllers(self, axes: Iterable[str]) -> list[str]:
         """The controller of every row with those remedies in its name that are not axes by themselves."""
         kept = [group for group in REMEDIES if group not in axes and "remedies" not in axes]
-        split = ((row, *row["controller"].partition("+")) for row in self.rows)
-        return ["+".join([name, *self._remedies(row, kept)]) if plus else name for row, name, plus, _ in split]
+        controllers = []
+        for row in self.rows:
+            name, plus, _ = row["controller"].partition("+")
+            controllers.append("+".join([name, *self._remedies(row, kept)]) if plus else name)
+        return controllers
 
     # ---------------------------------------------------------------------------------------------------------- values
     def _value(self, row: Row, name: str) -> Any:
@@ -176,8 +166,9 @@ class SweepFrame:
             return self._value(row, name.partition(".")[0])
         config = self._config(row)
         value = _named(config.get(name, config.get(f"{name}.name")))
-        # What does nothing is left out of the record of a flight.
-        return "none" if value is None and name in (*WORLD, *REMEDIES) else value
+        if value is None and name in (*WORLD, *REMEDIES):  # what does nothing is left out of the record of a flight
+            return "none"
+        return value
 
     def _of_checkpoint(self, path: str | None) -> dict[str, Any]:
         """Settings of the fit, and the data, of a checkpoint that is still where the flight found it."""
@@ -198,15 +189,17 @@ class SweepFrame:
         on speed and seed, which are in its row: one file is read for all flights of a sweep that differ in these only.
         """
         key = row["key"]
-        overrides = None if key in self._read else self.record.get("without_flight", {}).get(key)
-        group = (key,) if key in self._read or overrides is not None else tuple(row.get(name) for name in SAME)
+        overrides = self.record.get("without_flight", {}).get(key)
+        group: tuple[Any, ...] = (key,)
+        if key not in self._read and overrides is None:
+            group = tuple(row.get(name) for name in SAME)
         if group not in self._configs and self._gone[group] < MOST_GONE:
             try:
-                if overrides is not None:
-                    parts = (override.partition("=") for override in overrides)
-                    config: Mapping[str, Any] = {name: read_value(value) for name, _, value in parts}
-                elif key in self._read:
+                if key in self._read:
                     config = self._read[key]
+                elif overrides is not None:
+                    parts = (override.partition("=") for override in overrides)
+                    config = {name: read_value(value) for name, _, value in parts}
                 else:
                     config = read_metadata(CellStore(self.root).path(key), "flight").get("config") or {}
                 self._configs[group] = flat(config)
@@ -220,74 +213,14 @@ def read_results(path: str | Path) -> tuple[Path, list[dict[str, Any]], dict[str
 
     Raises UsageError where it holds no results.
     """
-    file = Path(path) / RESULTS if Path(path).is_dir() else Path(path)
+    file = Path(path)
+    if file.is_dir():
+        file = file / RESULTS
     if file.name == RESULTS and not file.is_file():
         raise UsageError(f"{path}: holds no results (made by `quadexp evaluate`)")
     columns, record = read_table(file, "results", required=("key", "outcome"))
     declare_record(record)
     return file.parent, [dict.fromkeys(ROW_COLUMNS) | row for row in from_columns(columns)], record
-
-
-def chosen(frame: SweepFrame, condition: str) -> list[bool]:
-    """Which rows fulfil the condition; UsageError, in one line, where it cannot be read or names no key."""
-    import pandas as pd
-
-    columns: dict[str, list[Any]] = {}
-    texts: list[str] = []
-    expression = " ".join(_translated(frame, condition, columns, texts))
-    if texts and all(is_number(value) for column in columns.values() for value in column if value is not None):
-        hint = suggestion(texts[0], frame.names, frame.swept)  # a misspelt key beside a number, or beside nothing
-        raise UsageError(f"--where: {texts[0]}: no such key or column{hint}")
-    try:
-        holds = pd.DataFrame(columns).eval(expression, engine="python")
-        if not columns or holds.dtype != bool:
-            raise ValueError("a comparison such as `speed > 6` is expected")
-    except Exception as error:  # of pandas and of Python's parser, which have many
-        raise UsageError(f"--where {condition!r}: cannot be read: {str(error).splitlines()[0]}") from None
-    return [bool(value) for value in holds.tolist()]
-
-
-def _translated(frame: SweepFrame, condition: str, columns: dict[str, list[Any]], texts: list[str]) -> list[str]:
-    """The parts of the expression. Filled: columns, the values of each name in it; texts, the words that are no key."""
-
-    def quoted(match: re.Match[str]) -> str:
-        key, *_, vector = match.groups()
-        known = key is None or (frame.has(key) and any(str(value).startswith("[") for value in frame.values(key)))
-        return match[0].replace(vector, f"'{vector}'") if known else match[0]
-
-    condition = _VECTOR.sub(quoted, condition)
-    tokens: list[re.Match[str]] = []
-    while condition[(at := tokens[-1].end() if tokens else 0) :].strip():
-        if (token := _TOKEN.match(condition, at)) is None:
-            raise UsageError(f"--where {condition!r}: cannot be read from {condition[at:].strip()[:20]!r} on")
-        tokens.append(token)
-    parts: list[str] = []
-
-    for i, token in enumerate(tokens):
-        if token["number"]:
-            number = float(token["number"])
-            parts.append(repr(number * UNITS[token["unit"].lower()] if token["unit"] else number / _factor(tokens, i)))
-        elif (word := token["word"]) and word.lower() not in LITERALS:
-            if frame.has(word):
-                parts.append(f"c{len(columns)}")
-                columns[parts[-1]] = frame.column(word)
-            else:
-                texts.append(word)
-                parts.append(repr(word))
-        elif text := token["text"]:
-            parts.append(repr(read_value(text[1:-1]) if text[1:2] == "[" else text[1:-1]))
-        else:
-            part = (token["joint"] or token["word"] or token["sign"]).lower()
-            parts.append({**SIGNS, **LITERALS}.get(part, part))
-    return parts
-
-
-def _factor(tokens: Sequence[re.Match[str]], place: int) -> float:
-    """From SI to the unit in which tables show the metric that the number at this place is compared with; 1 if none."""
-    ends = [i for i, token in enumerate(tokens) if token[0].strip().lower() in ("and", "or", "&&", "||")]
-    begin = max((i for i in ends if i < place), default=-1)
-    comparison = tokens[begin + 1 : min((i for i in ends if i > place), default=len(tokens))]
-    return next((shown(token["word"])[0] for token in comparison if token["word"] and is_metric(token["word"])), 1.0)
 
 
 def _plain(value: Any) -> Any:
@@ -301,7 +234,9 @@ def _named(value: Any) -> Any:
     """A value that can be compared and printed: the name of a part, a list as its text."""
     if isinstance(value, Mapping):  # of a checkpoint
         return value.get("name")
-    return canonical_text(value) if isinstance(value, (list, tuple)) else _plain(value)
+    if isinstance(value, (list, tuple)):
+        return canonical_text(value)
+    return _plain(value)
 
 
 def is_number(value: Any) -> bool:
@@ -325,14 +260,16 @@ def unit_of(key: str) -> str:
 
 def with_unit(name: str, key: str) -> str:
     """The name of a key, such as "payload (kg)"."""
-    return f"{name} ({unit})" if (unit := unit_of(key)) else name
+    unit = unit_of(key)
+    return f"{name} ({unit})" if unit else name
 
 
 def setting_text(key: str, value: Any) -> str:
     """A setting in words with its unit: "wind [4,0,0] m/s" of wind.velocity, "latency 30 ms", "nodes 20".
 
     Times below a tenth of a second are in milliseconds."""
-    value = read_value(value) if isinstance(value, str) else value
+    if isinstance(value, str):
+        value = read_value(value)
     unit = unit_of(key)
     text = canonical_text(value)
     if is_number(value):
@@ -357,7 +294,9 @@ def setting_column(key: str, texts: Sequence[str], beside: Sequence[str]) -> tup
     heading is the whole key where two names are the same."""
     numbers = {text: read_value(text) for text in texts}
     unit = unit_of(key)
-    name = setting_name(key) if [*map(setting_name, beside)].count(setting_name(key)) == 1 else key
+    name = setting_name(key)
+    if list(map(setting_name, beside)).count(name) != 1:
+        name = key
     if all(map(is_number, numbers.values())):
         factor, unit = _in_milliseconds(max(numbers.values()), unit)
         columns = {text: f"{factor * value:.6g}" for text, value in numbers.items()}
@@ -369,4 +308,6 @@ def setting_column(key: str, texts: Sequence[str], beside: Sequence[str]) -> tup
 def setting_name(key: str) -> str:
     """The last part of a key in words; of a velocity what has it: "wind" of wind.velocity."""
     group, _, last = key.rpartition(".")
-    return group.rpartition(".")[2] if last == "velocity" and group else last.replace("_", " ")
+    if last == "velocity" and group:
+        return group.rpartition(".")[2]
+    return last.replace("_", " ")

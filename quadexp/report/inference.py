@@ -71,7 +71,8 @@ def mean_interval(values: np.ndarray, confidence: float = 0.95, *, least: float 
         return NO_INTERVAL
     n = len(values)
     mean = float(np.mean(values))
-    half = float(stdtrit(n - 1, (1 + confidence) / 2)) * float(np.std(values, ddof=1)) / math.sqrt(n)
+    quantile = float(stdtrit(n - 1, (1 + confidence) / 2))
+    half = quantile * float(np.std(values, ddof=1)) / math.sqrt(n)
     return Interval(max(mean - half, least), mean + half, "t")
 
 
@@ -114,8 +115,13 @@ def success_interval(successes: int, trials: int, confidence: float = 0.95) -> t
     if trials == 0:
         return math.nan, math.nan
     tail = (1 - confidence) / 2
-    low = float(betaincinv(successes, trials - successes + 1, tail)) if successes > 0 else 0.0
-    high = float(betaincinv(successes + 1, trials - successes, 1 - tail)) if successes < trials else 1.0
+    failures = trials - successes
+    low = 0.0
+    if successes:
+        low = float(betaincinv(successes, failures + 1, tail))
+    high = 1.0
+    if failures:
+        high = float(betaincinv(successes + 1, failures, 1 - tail))
     return low, high
 
 
@@ -131,10 +137,11 @@ def sign_flips(differences: np.ndarray, kinds: Sequence[int] = ()) -> tuple[np.n
     signs = _signs(differences.shape[1])
     least = np.full(1, math.inf)
     tested = np.flatnonzero(np.isfinite(differences).any(axis=1))
-    weights = np.array(kinds or [1] * len(differences))
+    weights = kinds or [1] * len(differences)
     for line in tested:
         values = np.nan_to_num(differences[line])
-        sums = np.abs(signs @ values) / (float(np.abs(values).sum()) or 1.0)
+        size = float(np.abs(values).sum()) or 1.0
+        sums = np.abs(signs @ values) / size
         sums = np.round(sums / SAME)  # so that sums which differ by rounding are the same
         share = 1 - np.searchsorted(np.sort(sums), sums) / len(sums)
         alone[line] = share[0]
@@ -154,9 +161,10 @@ def paired_permutation(differences: np.ndarray) -> float:
 @functools.lru_cache(maxsize=32)
 def _signs(n: int) -> np.ndarray:
     """Patterns of n signs, (k, n), the flown one first. Opposite ones have sums of one size: the first sign stays."""
-    if 1 << max(n - 1, 0) <= PATTERNS:
-        numbers = np.arange(1 << max(n - 1, 0))
-        return 1.0 - 2.0 * (numbers[:, None] >> np.arange(n)[::-1] & 1)
+    patterns = 1 << max(n - 1, 0)
+    if patterns <= PATTERNS:
+        bits = np.arange(patterns)[:, None] >> np.arange(n)[::-1] & 1
+        return 1.0 - 2.0 * bits
     drawn = np.random.default_rng(n).choice([-1.0, 1.0], (PATTERNS, n))
     drawn[0] = 1.0
     return drawn
@@ -176,9 +184,12 @@ def rank_biserial(differences: np.ndarray) -> float:
     if len(differences) == 0:
         return math.nan
     differences = differences[differences != 0]
+    if len(differences) == 0:
+        return 0.0
     _, place, counts = np.unique(np.abs(differences), return_inverse=True, return_counts=True)
-    rank = (np.cumsum(counts) - (counts - 1) / 2)[place]  # equal differences share the mean of their ranks
-    return float(-np.sum(np.sign(differences) * rank) / np.sum(rank)) if len(differences) else 0.0
+    mean_ranks = np.cumsum(counts) - (counts - 1) / 2  # equal differences share the mean of their ranks
+    rank = mean_ranks[place]
+    return float(-np.sum(np.sign(differences) * rank) / np.sum(rank))
 
 
 def holm(p: np.ndarray) -> np.ndarray:
@@ -188,9 +199,11 @@ def holm(p: np.ndarray) -> np.ndarray:
     table = p[:, None] if p.ndim == 1 else p
     tested = table[~np.isnan(table).all(axis=1)]
     m = len(tested)
-    # The levels at which 0, 1, .. m - 1 of the pairs are rejected in all of their lines, and count no more.
-    levels = np.maximum.accumulate([0.0, *(m - np.arange(m)) * np.sort(np.nanmax(tested, axis=1, initial=0.0))])
+    largest_p = np.sort(np.nanmax(tested, axis=1, initial=0.0))  # of the lines of each pair
+    level = 0.0  # at which so many pairs are rejected, and count no more
     adjusted = np.where(np.isnan(table), math.nan, 1.0)
-    for rejected, level in enumerate(levels[:m]):
-        adjusted = np.minimum(adjusted, np.maximum(level, (m - rejected) * table))
+    for rejected in range(m):
+        remaining = m - rejected
+        adjusted = np.minimum(adjusted, np.maximum(level, remaining * table))
+        level = max(level, remaining * largest_p[rejected])
     return adjusted.reshape(p.shape)

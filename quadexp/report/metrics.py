@@ -45,8 +45,10 @@ class Flown:
         self.flight = flight
         self.thrust_min = thrust_min
         self.thrust_max = thrust_max
+        self.every = 1
         t = flight.t
-        self.every = max(1, round(period / (t[1] - t[0]))) if period and len(t) > 1 and t[1] > t[0] else 1
+        if period and len(t) > 1 and t[1] > t[0]:
+            self.every = max(1, round(period / (t[1] - t[0])))
 
     @cached_property
     def error(self) -> np.ndarray:
@@ -56,7 +58,8 @@ class Flown:
     def solve_times(self) -> list[float]:
         """Median, 99 % quantile and largest, s."""
         solve_time = self.flight["solve_time"][:: self.every]
-        last, ordered = len(solve_time) - 1, np.sort(solve_time)  # a third of the time of np.quantile
+        last = len(solve_time) - 1
+        ordered = np.sort(solve_time)  # a third of the time of np.quantile
         return list(np.interp([0.5 * last, 0.99 * last, last], np.arange(last + 1), ordered).tolist())
 
     @property
@@ -153,8 +156,16 @@ class FlightMetric(Part):
 
     @property
     def metric(self) -> Metric:
-        about = (self.title or self.name.replace("_", " "), self.factor, self.unit, self.error, self.tabled)
-        return Metric(self.name, lambda flown: self.of(flown.flight), *about, self.more_is_better)
+        return Metric(
+            self.name,
+            lambda flown: self.of(flown.flight),
+            self.title or self.name.replace("_", " "),
+            self.factor,
+            self.unit,
+            self.error,
+            self.tabled,
+            self.more_is_better,
+        )
 
 
 def declare(metrics: Iterable[Metric]) -> None:
@@ -248,7 +259,8 @@ def both(flight: Flight, part: slice) -> list[np.ndarray]:
 def mean_error(flight: Flight) -> float:
     """Mean position error (m) as in the table of results, also of a flight of which only some samples are stored; over
     its samples where it has no row there."""
-    return float((flight.metadata.get("row") or {}).get("mean_error") or position_error(flight).mean())
+    row = flight.metadata.get("row") or {}
+    return float(row.get("mean_error") or position_error(flight).mean())
 
 
 def attitude_error(flight: Flight) -> np.ndarray:
@@ -257,7 +269,9 @@ def attitude_error(flight: Flight) -> np.ndarray:
     2 atan2(|a - b|, |a + b|) of unit vectors a and b: the thrust axes, or the quaternions, which have half the angle,
     with the sign of b such that |a - b| is the smaller one.
     """
-    a, b = (attitude / np.linalg.norm(attitude, axis=1, keepdims=True) for attitude in both(flight, ATTITUDE))
+    a, b = both(flight, ATTITUDE)
+    a = a / np.linalg.norm(a, axis=1, keepdims=True)
+    b = b / np.linalg.norm(b, axis=1, keepdims=True)
     free = _free(flight)
     if free:
         from quadexp.physics.rotation import thrust_axis  # imports CasADi, which showing a flight does without

@@ -32,6 +32,7 @@ import re
 from collections import Counter
 from collections.abc import Hashable, Iterable, Mapping, Sequence, Set
 from functools import cached_property
+from itertools import product
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -43,6 +44,7 @@ Who = TypeVar("Who", bound=Hashable)
 What = TypeVar("What", bound=Hashable)
 Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")
+Label = TypeVar("Label", bound=tuple[str, ...])
 Row = Mapping[str, Any]
 Rows = Sequence[Row]
 World = tuple[str, str]  # plant, vehicle
@@ -93,14 +95,23 @@ class Contestant(NamedTuple):
 
 def condition_of(row: Row) -> Condition:
     speed = row["speed"]
-    speed = None if speed is None or math.isnan(float(speed)) else float(speed)
-    setting = " ".join(part for part in _split(row.get("variant")) if not of_contestant(part.partition("=")[0]))
-    return Condition(row["plant"], row["vehicle"], row["trajectory"], speed, setting)
+    if speed is not None:
+        speed = None if math.isnan(float(speed)) else float(speed)
+    return Condition(row["plant"], row["vehicle"], row["trajectory"], speed, _settings(row, of_who=False))
 
 
 def contestant_of(row: Row) -> Contestant:
-    settings = " ".join(part for part in _split(row.get("variant")) if of_contestant(part.partition("=")[0]))
-    return Contestant(row["controller"], row["model"], settings)
+    return Contestant(row["controller"], row["model"], _settings(row, of_who=True))
+
+
+def _settings(row: Row, *, of_who: bool) -> str:
+    """The settings of a row that belong to the contestant, or those of the condition."""
+    settings = []
+    for part in _split(row.get("variant")):
+        key = part.partition("=")[0]
+        if of_contestant(key) == of_who:
+            settings.append(part)
+    return " ".join(settings)
 
 
 def is_flown(row: Row) -> bool:
@@ -119,23 +130,34 @@ def is_bound(controller: str) -> bool:
 
 def contestant_labels(contestants: Sequence[Contestant]) -> dict[Contestant, str]:
     """The controller's name, with checkpoint and settings as far as they distinguish it from the others."""
-    models = {name: {*several} for name, several in grouped(who[:2] for who in contestants).items()}
-    paths = {model for _, model, _ in contestants}
+    models = grouped(distinct(who[:2] for who in contestants))
+    paths = {who.model for who in contestants}
     short = {path: path.rstrip("/").rpartition("/")[2] for path in paths}
     if len(set(short.values())) < len(paths):  # two checkpoints of one name: the whole path
         short = {path: path for path in paths}
     labels = {}
     for who in contestants:
-        parts = [who.controller, short[who.model] if len(models[who.controller]) > 1 and who.model else ""]
+        parts = [who.controller]
+        if len(models[who.controller]) > 1:
+            parts.append(short[who.model])
         parts += [_KEYS_ABOVE.sub("", part) for part in _split(who.settings)]  # "nodes=20" of "controller.nodes=20"
         labels[who] = " ".join(filter(None, parts))
+    return unambiguous(labels)
+
+
+def unambiguous(labels: Mapping[Label, str]) -> dict[Label, str]:
+    """The labels; of those that are the same, all that they stand for."""
     count = Counter(labels.values())
-    return {who: " ".join(filter(None, who)) if count[label] > 1 else label for who, label in labels.items()}
+    return {what: " ".join(filter(None, what)) if count[label] > 1 else label for what, label in labels.items()}
 
 
 def setting_pairs(variant: str | None) -> list[tuple[str, str]]:
     """(key, value) of the settings of a variant, as texts; values may hold blanks."""
-    return [(key, value) for key, _, value in (part.partition("=") for part in _split(variant))]
+    pairs = []
+    for part in _split(variant):
+        key, _, value = part.partition("=")
+        pairs.append((key, value))
+    return pairs
 
 
 class Flights(NamedTuple):
@@ -176,12 +198,17 @@ def whole(flights: Set[tuple[What, int]]) -> frozenset[tuple[What, int]]:
     seeds = sorted({seed for _, seed in flights})
     there = np.array([[(at, seed) in flights for seed in seeds] for at in conditions])
     while not there.all():
-        shares = there.mean(axis=1), there.mean(axis=0)
-        axis = int(shares[1].min() < shares[0].min())
-        place = int(shares[axis].argmin())
-        there = np.delete(there, place, axis)
-        del (conditions, seeds)[axis][place]
-    return frozenset((at, seed) for at in conditions for seed in seeds)
+        by_condition = there.mean(axis=1)
+        by_seed = there.mean(axis=0)
+        if by_seed.min() < by_condition.min():
+            place = int(by_seed.argmin())
+            there = np.delete(there, place, axis=1)
+            del seeds[place]
+        else:
+            place = int(by_condition.argmin())
+            there = np.delete(there, place, axis=0)
+            del conditions[place]
+    return frozenset(product(conditions, seeds))
 
 
 def seed_means(values: Mapping[tuple[What, int], Any]) -> np.ndarray:
@@ -293,14 +320,19 @@ class Groups:
 
     def baseline(self, contestant: Contestant) -> Contestant | None:
         """The baseline of a contestant; if the baseline flew with several settings, the one with the same settings."""
-        alike = [who for who in self._baselines if len(self._baselines) == 1 or who.settings == contestant.settings]
-        return alike[0] if len(alike) == 1 and contestant not in self._baselines else None
+        alike = self._baselines
+        if contestant in alike:
+            return None
+        if len(alike) > 1:
+            alike = [who for who in alike if who.settings == contestant.settings]
+        return alike[0] if len(alike) == 1 else None
 
     def pairs(
         self, condition: Condition, contestant: Contestant, rival: Contestant
     ) -> tuple[list[tuple[Flown, Flown]], Counter[str]]:
         """Flights of the same seed that both completed, whoever else did, and the number of other seeds by cause."""
-        flights, rivals = (self.conditions[condition].get(who, {}) for who in (contestant, rival))
+        flights = self.conditions[condition].get(contestant, {})
+        rivals = self.conditions[condition].get(rival, {})
         name = self.labels[rival]
         pairs: list[tuple[Flown, Flown]] = []
         causes: Counter[str] = Counter()
@@ -309,19 +341,26 @@ class Groups:
             its = rivals.get(seed, [])
             if len(mine) > 1 or len(its) > 1:
                 causes["flown more than once"] += 1
-            elif not mine or not its:
-                causes["not asked for" if not mine else f"not asked of {name}"] += 1
-            elif (outcome := mine[0].outcome) != "ok":
-                other = its[0].outcome
-                also = "" if other == "ok" else f" ({name} {other})"
-                if other == outcome:
-                    also = f" as was {name}"
-                causes[outcome + also] += 1
-            elif its[0].outcome != "ok":
-                causes[f"{its[0].outcome} by {name}"] += 1
-            else:
+            elif not mine:
+                causes["not asked for"] += 1
+            elif not its:
+                causes[f"not asked of {name}"] += 1
+            elif mine[0].outcome == its[0].outcome == "ok":
                 pairs.append((mine[0], its[0]))
+            else:
+                causes[_cause(mine[0].outcome, its[0].outcome, name)] += 1
         return pairs, causes
+
+
+def _cause(outcome: str, other: str, rival: str) -> str:
+    """Why two flights are no pair, of which one at least did not complete. other: outcome of the rival's."""
+    if outcome == "ok":
+        return f"{other} by {rival}"
+    if other == "ok":
+        return outcome
+    if other == outcome:
+        return f"{outcome} as was {rival}"
+    return f"{outcome} ({rival} {other})"
 
 
 def causes_text(causes: Mapping[str, int]) -> str:

@@ -21,8 +21,9 @@ Drawn = tuple[dict[str, str], dict[str, Any]]  # tables and figures, see the mod
 
 def check(name: str) -> None:
     """Raise UsageError where there is no module of this name; nothing is imported."""
-    if name != STANDARD and name not in places("papers"):
-        raise UsageError(f"evaluate.figures={name}: there are {', '.join([STANDARD, *places('papers')])}")
+    known = [STANDARD, *places("papers")]
+    if name not in known:
+        raise UsageError(f"evaluate.figures={name}: there are {', '.join(known)}")
 
 
 def paper(name: str) -> Any:
@@ -34,6 +35,9 @@ def write(module: Any, rows: Sequence[Mapping[str, Any]], out: Path) -> dict[str
     """Write what a module draws into the folder of the results; returns name -> path."""
     drawing = service("drawing", "evaluate.figures")
     tables, figures = module.draw(rows, out)
-    files = {f"table_{name}": write_text(out / f"{name}.md", text) for name, text in tables.items()}
-    files |= {f"figure_{name}": drawing.save(figure, out / "figures" / name) for name, figure in figures.items()}
-    return {name: str(path) for name, path in files.items()}
+    files = {}
+    for name, text in tables.items():
+        files[f"table_{name}"] = str(write_text(out / f"{name}.md", text))
+    for name, figure in figures.items():
+        files[f"figure_{name}"] = str(drawing.save(figure, out / "figures" / name))
+    return files

@@ -98,11 +98,13 @@ class Tests:
         """Of one against other in these conditions: a line, all of a plant and vehicle, or all."""
         statement = tuple(conditions)
         difference = self._pair(contestant, other)[statement]
-        if (pair := frozenset((contestant, other))) in self._corrected:
+        pair = frozenset((contestant, other))
+        if pair in self._corrected:
             times = len(self._corrected)
             p_holm = self._corrected[pair][statement]
         else:
-            times, p_holm = self._times, min(self._times * difference.joint, 1.0)  # NaN stays
+            times = self._times
+            p_holm = min(times * difference.joint, 1.0)  # NaN stays
         return replace(difference, p_holm=p_holm, comparisons=times * difference.comparisons)
 
     @cached_property
@@ -126,13 +128,18 @@ class Tests:
             " completed, the share in which they differ as clearly as flown, in view of all lines and of"
             f" {count(self._times, 'pair')} (Holm)"
         )
-        few = [f"{count(seeds, 'seed')}: nothing is bold or *, which takes {line} in a single line"]
-        return [text, *(few if seeds < line else [])]
+        notes = [text]
+        if seeds < line:
+            notes.append(f"{count(seeds, 'seed')}: nothing is bold or *, which takes {line} in a single line")
+        return notes
 
     @cached_property
     def _flew(self) -> list[Contestant]:
         """The contestants that completed a flight."""
-        flew = (who for (_, who), cell in self.groups.cells.items() if any(flown.complete for flown in cell))
+        flew = []
+        for (_, who), cell in self.groups.cells.items():
+            if any(flown.complete for flown in cell):
+                flew.append(who)
         return distinct(flew)
 
     @property
@@ -143,8 +150,13 @@ class Tests:
     @cached_property
     def _corrected(self) -> dict[frozenset[Contestant], dict[Statement, float]]:
         """The p_holm of every pair with the baseline that can be tested; without one, with the first who flew."""
-        pairs = [(who, rival) for who in self.groups.contestants if (rival := self.groups.baseline(who)) is not None]
-        pairs = pairs or [(who, self._flew[0]) for who in self._flew[1:]]
+        pairs = []
+        for who in self.groups.contestants:
+            rival = self.groups.baseline(who)
+            if rival is not None:
+                pairs.append((who, rival))
+        if not pairs:
+            pairs = [(who, self._flew[0]) for who in self._flew[1:]]
         tested = [pair for pair in pairs if any(of.varies for of in self._pair(*pair).values())]
         joint = np.array([[of.joint for of in self._pair(*pair).values()] for pair in tested])
         corrected = holm(joint).tolist()
@@ -221,6 +233,9 @@ def place_texts(conditions: Collection[Condition]) -> dict[Condition, str]:
     texts = {}
     for at in conditions:
         parts = [at.trajectory, speed_text(at.speed), at.setting]
-        parts += [at.plant] * (len(plants) > 1) + [at.vehicle] * (len(vehicles) > 1)
+        if len(plants) > 1:
+            parts.append(at.plant)
+        if len(vehicles) > 1:
+            parts.append(at.vehicle)
         texts[at] = " ".join(filter(None, parts))
     return texts

@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 from quadexp.messages import csv_line, html, latex, markdown, printable
@@ -40,16 +41,16 @@ class Table:
         """Plain text, columns aligned."""
         table = [[printable(cell) for cell in row] for row in (self.columns, *self.rows)]
         widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-        lines = [printable(self.title)] if self.title else []
         above = ""
-        for (i, text), end in zip(self.groups.items(), [*list(self.groups)[1:], len(widths)], strict=False):
+        for i, end in pairwise([*self.groups, len(widths)]):
+            text = self.groups[i]
             widths[i] += max(0, len(text) - sum(widths[i:end]) - 2 * (end - i - 1))
             above = above.ljust(sum(widths[:i]) + 2 * i) + text
-        lines += [above] if above else []
+        lines = list(filter(None, (printable(self.title), above)))
         for row in table:
-            cells = (
-                c.ljust(w) if i in self.left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))
-            )
+            cells = []
+            for i, cell in enumerate(row):
+                cells.append(cell.ljust(widths[i]) if i in self.left else cell.rjust(widths[i]))
             lines.append("  ".join(cells).rstrip())
         return lines + list(map(printable, self.notes))
 
@@ -57,9 +58,15 @@ class Table:
         """Markdown, the notes as a list."""
         rule = ["---" if i in self.left else "---:" for i in range(len(self.columns))]
         table = [[marked(cell, markdown, "**{}**", "*") for cell in row] for row in (self.columns, *self.rows)]
-        lines = [markdown(self.title, begins=True), ""] if self.title else []
-        lines += ["| " + " | ".join(row) + " |" for row in (table[0], rule, *table[1:])]
-        lines += ["", *(f"- {markdown(note, begins=True)}" for note in self.notes)] if self.notes else []
+        lines = []
+        if self.title:
+            lines = [markdown(self.title, begins=True), ""]
+        for row in (table[0], rule, *table[1:]):
+            lines.append(f"| {' | '.join(row)} |")
+        if self.notes:
+            lines.append("")
+        for note in self.notes:
+            lines.append(f"- {markdown(note, begins=True)}")
         return "\n".join(lines) + "\n"
 
     __str__ = markdown
@@ -69,15 +76,18 @@ class Table:
         columns = "".join("l" if i in self.left else "r" for i in range(len(self.columns)))
         title = f"{printable(self.title)}; " if self.title and not self.over else ""
         lines = [rf"% {title}needs \usepackage{{booktabs}}"]
-        lines += [*(f"% {printable(note)}" for note in self.notes), rf"\begin{{tabular}}{{{columns}}}", r"\toprule"]
+        lines += [f"% {printable(note)}" for note in self.notes]
+        lines += [rf"\begin{{tabular}}{{{columns}}}", r"\toprule"]
         if self.over:
             span = rf"\multicolumn{{{len(columns) - self.beside}}}{{c}}{{{latex(self.over)}}}"
             lines.append(rf"{' &' * self.beside} {span} \\ \cmidrule(l){{{self.beside + 1}-{len(columns)}}}")
-        lines += [latex_row(self.columns), r"\midrule", *map(latex_row, self.rows[: self.head])]
-        lines += [r"\midrule"] if self.head else []
-        for before, row in zip([None, *self.rows[self.head :]], self.rows[self.head :], strict=False):
-            lines += [r"\addlinespace"] if self.over and before and before[0] != row[0] else []
+        lines += [latex_row(self.columns), r"\midrule"]
+        for k, row in enumerate(self.rows):
+            if k > self.head and self.over and row[0] != self.rows[k - 1][0]:
+                lines.append(r"\addlinespace")
             lines.append(latex_row(row))
+            if k + 1 == self.head:
+                lines.append(r"\midrule")
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
 
     def csv(self) -> str:
@@ -100,19 +110,21 @@ class Table:
             shown.add_column(plain(heading), justify="left" if i in self.left else "right", overflow="fold")
         for k, row in enumerate(self.rows):
             cells = [marked(cell, plain, "[bold]{}[/bold]", "*") for cell in row]
-            shown.add_row(
-                *(re.sub(r" \[(?=[-\d])", "\n[", c) if stacked else c for c in cells), end_section=k + 1 == self.head
-            )
+            if stacked:
+                cells = [re.sub(r" \[(?=[-\d])", "\n[", cell) for cell in cells]
+            shown.add_row(*cells, end_section=k + 1 == self.head)
         return shown
 
     def html(self) -> str:
         """An HTML table without style; also what a notebook shows."""
 
         def row(cells: Sequence[str], tag: str) -> str:
-            texts = (marked(cell, html, "<b>{}</b>", "*") for cell in cells)
-            sides = ("left" if i in self.left else "right" for i in range(len(cells)))
-            cells = [f'<{tag} style="text-align:{s}">{t}</{tag}>' for s, t in zip(sides, texts, strict=True)]
-            return f"<tr>{''.join(cells)}</tr>"
+            parts = []
+            for i, cell in enumerate(cells):
+                side = "left" if i in self.left else "right"
+                text = marked(cell, html, "<b>{}</b>", "*")
+                parts.append(f'<{tag} style="text-align:{side}">{text}</{tag}>')
+            return f"<tr>{''.join(parts)}</tr>"
 
         rows = "".join(row(cells, "td") for cells in self.rows)
         notes = "".join(f"<p>{html(note)}</p>" for note in self.notes)
@@ -127,7 +139,8 @@ def marked(cell: str, escaped: Callable[[str], str], best: str = "{}", star: str
     text = ""
     end = 0
     for mark in _MARKS.finditer(cell):
-        text += escaped(cell[end : mark.start()]) + (best.format(mark[1]) if mark[1] else star)
+        text += escaped(cell[end : mark.start()])
+        text += best.format(mark[1]) if mark[1] else star
         end = mark.end()
     return text + escaped(cell[end:])
 
@@ -140,16 +153,20 @@ def records_table(records: Sequence[Mapping[str, Any]]) -> Table:
     """A table of records, a row each: numbers in full precision, nothing for what is missing."""
     names = distinct(name for record in records for name in record)
     rows = [[_exact(record.get(name)) for name in names] for record in records]
-    left_columns = {i for i, name in enumerate(names) if any(isinstance(record.get(name), str) for record in records)}
-    return Table(names, rows, left=frozenset(left_columns))
+    left = set()
+    for i, name in enumerate(names):
+        if any(isinstance(record.get(name), str) for record in records):
+            left.add(i)
+    return Table(names, rows, left=left)
 
 
 def _exact(value: Any) -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return repr(float(value)) if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return repr(float(value))
+    text = str(value)
+    return text.lower() if isinstance(value, bool) else text
 
 
 def csv_text(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:

@@ -14,8 +14,8 @@ The table of flights has any columns of the results and any keys, for the termin
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +36,14 @@ from quadexp.report.pairing import (
     BASELINE,
     Flights,
     Groups,
+    causes_text,
     condition_of,
     contestant_labels,
     contestant_of,
+    grouped,
     is_invalid,
     setting_pairs,
+    unambiguous,
 )  # fmt: skip
 from quadexp.report.significance import Tests
 from quadexp.report.statistics import CONFIDENCE, KINDS, Statistic, Statistics, of_lines, pooled
@@ -66,15 +69,21 @@ def cell_text(s: Statistic) -> str:
     The mean over the common flights with its interval; beside it that over all own completed flights, if these are
     more, and how the others ended."""
     factor, _ = shown(s.metric)
-    beside = [f"{count} {outcome}" for outcome, count in s.failures.items()]
-    beside = [", ".join(beside)] if beside else []
+    parts = []
     if s.n > s.common:
-        beside = [f"all {s.n}: {with_interval(factor * s.mean)[0]}", *beside]
+        mean, _ = with_interval(factor * s.mean)
+        parts.append(f"all {s.n}: {mean}")
+    if s.failures:
+        parts.append(causes_text(s.failures))
+    beside = "; ".join(parts)
     if math.isnan(s.common_mean):
-        return "; ".join(beside) or "-"
+        return beside or "-"
     mean, limits = with_interval(factor * s.common_mean, factor * s.common_low, factor * s.common_high)
-    mean = f"**{mean}**" if s.best else mean
-    return mean + limits + ("*" if s.significant else "") + (f" ({'; '.join(beside)})" if beside else "")
+    if s.best:
+        mean = f"**{mean}**"
+    if s.significant:
+        limits += "*"
+    return f"{mean}{limits} ({beside})" if beside else mean + limits
 
 
 def column_labels(rows: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -84,21 +93,30 @@ def column_labels(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """
     labels = contestant_labels(distinct(map(contestant_of, rows)))
     several = [name for name in ("plant", "vehicle") if len({row[name] for row in rows}) > 1]
-    return [" ".join([labels[contestant_of(row)], *(f"@{row[name]}" for name in several)]) for row in rows]
+    columns = []
+    for row in rows:
+        label = labels[contestant_of(row)]
+        for name in several:
+            label += f" @{row[name]}"
+        columns.append(label)
+    return columns
 
 
 def course_labels(conditions: Iterable[tuple[str, str]]) -> dict[tuple[str, str], str]:
     """(trajectory, other settings) -> label of a line, such as "circle, payload 0.1 kg"; no two are the same."""
-    conditions = distinct(conditions)
-    labels = {at: ", ".join([at[0], *(setting_text(*pair) for pair in setting_pairs(at[1]))]) for at in conditions}
-    count = Counter(labels.values())
-    return {at: " ".join(filter(None, at)) if count[label] > 1 else label for at, label in labels.items()}
+    labels = {}
+    for at in distinct(conditions):
+        trajectory, variant = at
+        settings = [setting_text(*pair) for pair in setting_pairs(variant)]
+        labels[at] = ", ".join([trajectory, *settings])
+    return unambiguous(labels)
 
 
 def _row_of(s: Statistic) -> dict[str, Any]:
     """What a statistic tells of the rows it is made from."""
-    names = ("plant", "vehicle", "trajectory", "speed", "controller", "model")
-    return {**{n: getattr(s, n) for n in names}, "variant": f"{s.variant} {s.setting}".strip()}
+    row = {name: getattr(s, name) for name in ("plant", "vehicle", "trajectory", "speed", "controller", "model")}
+    row["variant"] = f"{s.variant} {s.setting}".strip()
+    return row
 
 
 def without_number(results: Sequence[Mapping[str, Any]], metric: str) -> list[str]:
@@ -124,42 +142,51 @@ def error_table(
     notes = table_notes(statistics, tests, pooled(tests, list(tests.groups.conditions), metric), best)
     rows = [*map(_row_of, statistics), *filter(is_invalid, results)]
     settings = [dict(setting_pairs(row.get("variant"))) for row in rows]
-    every = dict.fromkeys(key for pairs in settings for key in pairs)
-    values = {key: [pairs[key] for pairs in settings if key in pairs] for key in every}
-    keys = [key for key, several in values.items() if len(set(several)) > 1 and not key.endswith(f".{OPTION}")]
+    values = grouped(pair for pairs in settings for pair in pairs.items())
+    keys = []
+    for key, several in values.items():
+        if len(set(several)) > 1 and not key.endswith(f".{OPTION}"):
+            keys.append(key)
     keys.sort(key=of_contestant)  # those of the conditions first
-    kept = (" ".join(f"{key}={value}" for key, value in pairs.items() if key not in keys) for pairs in settings)
-    bare = [{**row, "variant": variant} for row, variant in zip(rows, kept, strict=True)]
+    bare = []
+    for row, pairs in zip(rows, settings, strict=True):
+        kept = [f"{key}={value}" for key, value in pairs.items() if key not in keys]
+        bare.append({**row, "variant": " ".join(kept)})
     labels = column_labels(bare)
     shown_as = {key: setting_column(key, values[key], keys) for key in keys}
-    if len(set(labels)) > MOST_ACROSS and len({row["plant"] for row in rows}) > 1:
+    plants = {row["plant"]: row["plant"] for row in rows}
+    if len(set(labels)) > MOST_ACROSS and len(plants) > 1:
         labels = column_labels([{**row, "plant": ""} for row in bare])
-        shown_as = {"plant": ("plant", {row["plant"]: row["plant"] for row in rows}), **shown_as}
+        shown_as = {"plant": ("plant", plants), **shown_as}
     courses = course_labels((row["trajectory"], condition_of(row).setting) for row in bare)
+    order = list(dict.fromkeys(courses.values()))
     places: dict[tuple[str, ...], tuple[int, float]] = {}  # texts that begin a line -> its place
     cells: dict[tuple[tuple[str, ...], str], str] = {}
     flown: dict[str, Flights] = {}
-    order: dict[str, int] = {}  # of the courses
-    for row, pairs, label, s in zip(bare, settings, labels, [*statistics, *[None] * len(rows)], strict=False):
+    for row, pairs, label, s in zip_longest(bare, settings, labels, statistics):
         *_, speed, setting = condition_of(row)
         course = courses[row["trajectory"], setting]
         values_of = pairs | {"plant": row["plant"]}
-        texts = (column[values_of[key]] if key in values_of else "" for key, (_, column) in shown_as.items())
+        texts = [column[values_of[key]] if key in values_of else "" for key, (_, column) in shown_as.items()]
         line = (course, speed_text(speed, ""), *texts)
-        places.setdefault(line, (order.setdefault(course, len(order)), -1.0 if speed is None else speed))
-        flown[label] = flown.get(label, Flights(0, 0)).plus(s.flown if s else Flights(0, 0))
-        if s is not None or (line, label) not in cells:
-            cells[line, label] = cell(s) if s else "invalid"
-    title = f"{metric_of(metric).title} ({shown(metric)[1]})"
+        places.setdefault(line, (order.index(course), -1.0 if speed is None else speed))
+        count = flown.setdefault(label, Flights(0, 0))
+        if s is None:
+            cells.setdefault((line, label), "invalid")
+        else:
+            cells[line, label] = cell(s)
+            flown[label] = count.plus(s.flown)
     beside = 2 + len(shown_as)
-    counts = ["flown", *[""] * (beside - 1), *(count.text() if count.trials else "-" for count in flown.values())]
-    lines = [
-        [*line, *(cells.get((line, label), "-") for label in flown)]
-        for line in sorted(places, key=lambda line: places[line])
-    ]
+    counts = ["flown", *[""] * (beside - 1)]
+    for count in flown.values():
+        counts.append(count.text() if count.trials else "-")
+    lines = [counts]
+    for line in sorted(places, key=places.__getitem__):
+        lines.append([*line, *(cells.get((line, label), "-") for label in flown)])
+    title = f"{metric_of(metric).title} ({shown(metric)[1]})"
     heads = ["trajectory", "m/s", *(heading for heading, _ in shown_as.values()), *flown]
     notes = (*notes, *without_number(results, metric), *row_notes(results))
-    return Table(heads, [counts, *lines], title, head=1, over=title, notes=notes, beside=beside)
+    return Table(heads, lines, title, head=1, over=title, notes=notes, beside=beside)
 
 
 def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
@@ -175,9 +202,9 @@ def comparison_table(statistics: Sequence[Statistic]) -> Table | None:
             continue
         line = [courses[s.trajectory, s.setting], speed_text(s.speed, ""), label, str(s.pairs), "-", "-"]
         if s.pairs:
-            difference = (factor * value for value in (s.difference, s.difference_low, s.difference_high))
-            reduction = (s.reduction, s.reduction_low, s.reduction_high)
-            line[-2:] = ["".join(with_interval(*values)) for values in (difference, reduction)]
+            difference = with_interval(factor * s.difference, factor * s.difference_low, factor * s.difference_high)
+            reduction = with_interval(s.reduction, s.reduction_low, s.reduction_high)
+            line[-2:] = ["".join(difference), "".join(reduction)]
         effect = "-" if math.isnan(s.effect) else f"{s.effect:.2f}"
         rows.append([*line, effect, p_value(s.p), p_value(s.p_holm), s.left_out or "-"])
     if not rows:
@@ -204,7 +231,10 @@ def comparison_texts(statistics: Statistics, metric: str) -> tuple[Table, dict[s
 
 def _latex_texts(statistics: Statistics, metric: str, table: Table, comparison: Table | None) -> dict[str, str]:
     """The tables in LaTeX as they are, where no plug-in fits them to a page."""
-    return {"table.tex": table.latex()} | ({} if comparison is None else {"comparison.tex": comparison.latex()})
+    texts = {"table.tex": table.latex()}
+    if comparison is not None:
+        texts["comparison.tex"] = comparison.latex()
+    return texts
 
 
 def write_comparison(root: Path, statistics: Statistics, texts: Mapping[str, str]) -> dict[str, str]:
@@ -216,10 +246,10 @@ def write_comparison(root: Path, statistics: Statistics, texts: Mapping[str, str
         (root / "comparison.tex").unlink(missing_ok=True)
     record = {name: getattr(statistics, name) for name in ("baseline", "confidence", "fingerprint")}
     try:
-        there = read_table(root / STATISTICS, "statistics")[1].get("fingerprint") == statistics.fingerprint
+        _, stored = read_table(root / STATISTICS, "statistics")
     except QuadexpError:
-        there = False
-    if not there:
+        stored = {}
+    if stored.get("fingerprint") != statistics.fingerprint:
         columns = {
             name: np.array([getattr(row, name) for row in statistics.rows], kind) for name, kind in KINDS.items()
         }
@@ -232,14 +262,24 @@ def flights_table(frame: SweepFrame, names: Sequence[str]) -> Table:
 
     Raises UsageError for a name that is no column and no key.
     """
-    columns = {name: frame.column(name) for name in names}
-    texts = [
-        [f"{shown(name)[0] * x:.4g}" if is_metric(name) and is_number(x) else plain(x) for x in values]
-        for name, values in columns.items()
-    ]
-    numbers = [all(is_number(value) for value in values if value is not None) for values in columns.values()]
-    rows = [*map(list, zip(*texts, strict=True))]
-    return Table([*map(heading, columns)], rows, left=frozenset(i for i, right in enumerate(numbers) if not right))
+    names = distinct(names)
+    columns = []
+    left = set()
+    for i, name in enumerate(names):
+        values = frame.column(name)
+        columns.append([_flight_text(name, value) for value in values])
+        if not all(is_number(value) for value in values if value is not None):
+            left.add(i)
+    rows = list(map(list, zip(*columns, strict=True)))
+    return Table(list(map(heading, names)), rows, left=left)
+
+
+def _flight_text(name: str, value: Any) -> str:
+    """A value of a column, a metric in the unit of tables."""
+    if is_metric(name) and is_number(value):
+        factor, _ = shown(name)
+        return f"{factor * value:.4g}"
+    return plain(value)
 
 
 def csv_of(frame: SweepFrame, names: Sequence[str]) -> str:
@@ -251,5 +291,5 @@ def heading(name: str) -> str:
     """The name with the unit in which its numbers are shown."""
     if not is_metric(name):
         return with_unit(name, name)
-    unit = shown(name)[1]
+    _, unit = shown(name)
     return f"{name} ({unit})" if unit else name

@@ -20,7 +20,8 @@ from quadexp.experiment.identity import digest
 from quadexp.log.cell_store import CellStore
 from quadexp.log.outcome import FAILURES
 from quadexp.parts.settings import read_value
-from quadexp.report.frame import RESULTS, SweepFrame, chosen
+from quadexp.report.condition import chosen
+from quadexp.report.frame import RESULTS, SweepFrame
 from quadexp.sweeps.sweep_table import condition, open_results, read_rows, table_row, write_results
 
 WANTED = "wanted"  # beside the columns of a result row: whether the last sweep, or one that has not ended, asked for it
@@ -52,7 +53,7 @@ def select(
     """The cells of a folder, with any key of the configuration as a column, and `wanted`.
 
     filters: KEY=VALUE, all of which must hold; VALUE may be a comma list, and of text a pattern such as `*_mpc`. where:
-    see report/frame.py. sort: columns with commas between, "-" before one for descending order; what comes first
+    see report/condition.py. sort: columns with commas between, "-" before one for descending order; what comes first
     decides first, and missing values come last. failures: only what was not completed.
     Raises UsageError for a folder without results or an unknown column.
     """

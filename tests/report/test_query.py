@@ -3,7 +3,8 @@
 import pytest
 
 from quadexp.errors import UsageError
-from quadexp.report.frame import SweepFrame, chosen
+from quadexp.report.condition import chosen
+from quadexp.report.frame import SweepFrame
 
 NAMES = ("nominal_mpc", "gp_mpc", "perfect_mpc")
 

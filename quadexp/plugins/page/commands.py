@@ -90,7 +90,8 @@ def _labels(words: Sequence[str]) -> dict[str, str]:
 
 def _flights(results: Path, where: str | None) -> tuple[SweepFrame, SweepFrame]:
     """The flights of a folder that fulfil a condition, and all of them."""
-    from quadexp.report.frame import SweepFrame, chosen
+    from quadexp.report.condition import chosen
+    from quadexp.report.frame import SweepFrame
 
     whole = SweepFrame.read(results)
     if not where:

@@ -14,7 +14,8 @@ from quadexp.plugins.page.compare import compare
 from quadexp.plugins.page.draw import records
 from quadexp.plugins.page.sweep_figures import drawings
 from quadexp.plugins.page.view import Axis, automatic, points, view
-from quadexp.report.frame import SweepFrame, chosen, setting_text, unit_of
+from quadexp.report.condition import chosen
+from quadexp.report.frame import SweepFrame, setting_text, unit_of
 from quadexp.report.statistics import compute_statistics
 from tests.report.sweeps import noise, swept
 
