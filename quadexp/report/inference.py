@@ -137,7 +137,7 @@ def sign_flips(differences: np.ndarray, kinds: Sequence[int] = ()) -> tuple[np.n
     signs = _signs(differences.shape[1])
     least = np.full(1, math.inf)
     tested = np.flatnonzero(np.isfinite(differences).any(axis=1))
-    weights = kinds or [1] * len(differences)
+    weights = np.array(kinds or [1] * len(differences))
     for line in tested:
         values = np.nan_to_num(differences[line])
         size = float(np.abs(values).sum()) or 1.0

@@ -35,7 +35,8 @@ STRAYING = {
     "acceleration_outlier": (("force", "force (p)"), 8.0, COLUMNS["f"]),  # m/s^2
     "rate_outlier": (("rate",), 4.0, COLUMNS["w"]),  # rad/s
 }
-FEW_STRAY, MANY_STRAY = 0.005, 0.4  # share of the windows: a knock, or something else than a stretch
+FEW_STRAY = 0.005  # share of the windows: up to it, a knock
+MANY_STRAY = 0.4  # share of the windows: from it on, something else than a stretch
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,8 @@ class Agreement:
 
     def likeness(self, *, with_mean: bool = False) -> tuple[float, float]:
         """Correlation of both sides over all axes, and by what factor the measured one is larger."""
-        x, y = self.expected, self.measured
+        x = self.expected
+        y = self.measured
         if not with_mean:
             x = x - x.mean(axis=0)
             y = y - y.mean(axis=0)
@@ -185,7 +187,8 @@ def stray(windows: Windows) -> list[tuple[Finding, np.ndarray]]:
         bad = size > limit
         if FEW_STRAY <= bad.mean() <= MANY_STRAY:
             when = np.tile(ends, (len(size) // len(ends), 1))[bad]
-            low, high = when[:, 0].min(), when[:, 0].max()
+            low = when[:, 0].min()
+            high = when[:, 0].max()
             text = f"off by up to {size.max():.4g} {pair.relation.unit} in {bad.mean():.1%} of the windows"
             where = f"{columns}, {low:.2f}..{high:.2f} s"
             span = (float(low), float(high))

@@ -35,13 +35,15 @@ WIDEST = 2.5  # high over low, up to which a unit is given
 LEAST_CORRELATION = 0.3  # below, motion explains a tenth of the variance and its slope says nothing
 ALIKE = 0.03  # within which an axis has the factor of all
 BLOCKS = 0.08  # of a gyro or accelerometer: less is a calibration
-COST, COST_AXIS = 1.2, 0.2  # log units: how much a candidate claims, and each axis more; see Candidate.cost
+COST = 1.2  # log units: how much a candidate claims; see Candidate.cost
+COST_AXIS = 0.2  # log units, of each axis more
 COST_STREAMS = {"w": 0.0, "f": 0.0, "v": 0.0, "p": 0.1}  # log units besides; position and velocity together 0.2
 LEAST = {"velocity": 0.015, "rate": 0.03, "force": 0.03}  # deviation of a gain from 1
 LEAST_UNIT = 0.5  # of position and velocity against the force, which an attitude that leans changes too
 LEAST_OF_ALL = 0.015  # of the three axes of a gyro together
 # Of a force beside the thrust, an attitude that leans with the motion makes as much (share, m/s^2 root mean square).
-LATERAL, LATERAL_EFFECT = 0.1, 0.1
+LATERAL = 0.1
+LATERAL_EFFECT = 0.1
 LATERAL_SAID = 0.065  # m/s^2: sound flights of NanoBench have up to 0.060. A warning, which names both
 LEANS = "or the attitude leans with the motion, which looks the same"
 

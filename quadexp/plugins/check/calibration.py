@@ -28,19 +28,22 @@ from quadexp.plugins.logs.signal.windows import RELATIONS, UP, Windows
 # Of a bias, by stream: the least that is named, the largest that a sensor has, unit.
 BIAS = {"w": (0.03, 1.0, "rad/s"), "f": (0.5, 3.0, "m/s^2")}
 SURE = 5.0  # standard errors
-LEAST_YAW, YAW_BLOCKS = 2.0, 8.0  # deg
+LEAST_YAW = 2.0  # deg
+YAW_BLOCKS = 8.0  # deg
 LEAST_TURN = 2.0  # deg: smaller turns are not reported
 TURN_WARNS = 4.0  # deg: more than the offsets of a fit absorb
 MOST_TURN = 20.0  # deg: of a mount that was never calibrated
 LARGEST_TURN = 120.0  # deg: beyond, it is a convention of axes, which other candidates name
-CERTAIN, CERTAIN_ALONE = 3.0, 5.0  # standard errors; of a turn about z that an accelerometer alone shows
+CERTAIN = 3.0  # standard errors
+CERTAIN_ALONE = 5.0  # standard errors, of a turn about z that an accelerometer alone shows
 KEPT = 0.9  # share of the windows: knocks are left out
 LEAST_ROWS = 30  # of a turn: three a stretch
 LEAST_MOTION = 2.0  # floors that a gyro must turn by to tell how it sits
 CLEAR = 3.5  # standard errors of a difference of squared residuals
 # Streams that are turned together: cost, words.
 SENSORS = {"f": (0.5, "the accelerometer is"), "w": (0.5, "the gyro is"), "wf": (0.6, "accelerometer and gyro are")}
-COST_BLOCKS, COST_BIASED = 2.5, 1.9  # of a turn that blocks, and of one with a bias; see Candidate.cost
+COST_BLOCKS = 2.5  # of a turn that blocks; see Candidate.cost
+COST_BIASED = 1.9  # of a turn with a bias
 OPTIONS = {"f": "--mounting", "w": "--gyro-mounting"}  # of the import
 FLOORS = {"w": RELATIONS["rate"].floor, "f": RELATIONS["force"].floor}
 

@@ -155,12 +155,14 @@ def _axes() -> Iterator[Row]:
         matrix = np.eye(3)[list(order)] * np.array(signs)[:, None]
         words = axes_words(matrix)
         flipped = [axis for axis, sign in zip("xyz", signs, strict=True) if sign < 0]
-        fault, text = "axis_swap", f"x, y, z are ({words.replace(' ', ', ')}) of the columns"
+        fault = "axis_swap"
+        text = f"x, y, z are ({words.replace(' ', ', ')}) of the columns"
         cost = 1.5 + 0.5 * len(flipped)
         if words == "x y z":
             continue
         if order == (0, 1, 2):
-            fault, text = "sign_flip", f"the sign of {' and '.join(flipped)} is reversed"
+            fault = "sign_flip"
+            text = f"the sign of {' and '.join(flipped)} is reversed"
             cost -= 1.0
         for streams, more in (("v", 0.0), ("p", 0.0), ("pv", 0.2), ("w", 0.0), ("f", 0.0), ("wf", 0.3)):
             known = [named for (letters, axes), named in KNOWN.items() if axes == words and set(streams) <= {*letters}]
@@ -176,7 +178,8 @@ def _attitudes(present: frozenset[str]) -> Iterator[Row]:
         yield fault, "q", text, {"attitude": lines}, cost
     motion = "".join(name for name in "pv" if name in present)
     sensors = "".join(name for name in "wf" if name in present)
-    ned, frd = {"world": "NED"}, {"body": "FRD"}
+    ned = {"world": "NED"}
+    frd = {"body": "FRD"}
     in_enu: Correction = {KEYS[name]: {"frame": "ENU"} for name in motion}  # lines that keep the frames of the others
     in_flu: Correction = {KEYS[name]: {"frame": "FLU"} for name in sensors}
     yield "ned_not_converted", "q", "FRD to NED, not FLU to ENU", ned | frd | in_enu | in_flu, 1.2

@@ -54,7 +54,8 @@ class Table:
             if good.sum() > 1:
                 self.x[:, i] = np.interp(self.t, t[good], column[good])
         rows = window_samples(self.t, np.ones(len(self.t), bool))
-        self.times, self.windows = self.t[rows], self.x[rows]
+        self.times = self.t[rows]
+        self.windows = self.x[rows]
         self.means = means(self.times, self.windows)
         self.slopes = changes(self.times, self.windows)
         self.named: Groups = {}
@@ -78,7 +79,8 @@ class Table:
         matches = []
         for i, p in enumerate(self.named.get("position", [])):
             for k, v in enumerate(self.named.get("velocity", [])):
-                slope, mean = self.slopes[:, p], self.means[:, v]
+                slope = self.slopes[:, p]
+                mean = self.means[:, v]
                 alike = min(_correlation(slope[:, axis], mean[:, axis]) for axis in range(3))
                 if alike >= MOTION:
                     gain = float(np.sum(mean * slope) / np.sum(slope**2))

@@ -22,7 +22,8 @@ ALLOWED = 0.025  # s: a quarter of the time in which a racing quadrotor turns by
 OFFSET_BLOCKS = 0.1  # s
 SAME_OFFSET = 0.005  # s: gyro and accelerometer of one board
 TURNS = {"mounting", "heading", "scale", "bias"}  # what a delay may look like
-LEAST_LATE, MOST_LATE = 0.008, 0.3  # s: that is looked for in place of a turn
+LEAST_LATE = 0.008  # s: that is looked for in place of a turn
+MOST_LATE = 0.3  # s
 LEAST_CORRELATION = 0.7  # half of the variance is common
 LEAST_SAMPLES = 50  # of fewer a correlation may be chance
 
@@ -76,7 +77,8 @@ def _late_instead(recording: Recording, taken: list[Candidate]) -> tuple[Moves, 
     for possible in _possible_moves(plain.offsets()):
         explained = plain.moved(possible).evidence() - PER_COST * len(possible)
         if explained > most:
-            moves, most = possible, explained
+            moves = possible
+            most = explained
     if not moves:
         return {}, []
     moved = plain.moved(moves)
@@ -135,8 +137,10 @@ def offset_findings(recording: Recording) -> list[Finding]:
         known[name] = offset
         findings[name] = Finding(fault, _severity(size), where, text, allowed, "`import --align` corrects it")
     if {"rate", "acceleration"} <= known.keys():
-        gyro, force = findings["rate"], findings["acceleration"]
-        by, other = known["rate"], known["acceleration"]
+        gyro = findings["rate"]
+        force = findings["acceleration"]
+        by = known["rate"]
+        other = known["acceleration"]
         near = abs(by.seconds - other.seconds) < SAME_OFFSET + 3 * (by.error + other.error)
         if near and gyro.name == force.name:
             worse = max(gyro.severity, force.severity, key=SEVERITIES.index)

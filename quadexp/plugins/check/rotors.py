@@ -137,7 +137,8 @@ def stretch(t: np.ndarray, w: np.ndarray, u: np.ndarray, J: np.ndarray) -> tuple
     thrust = np.stack([band(at(grid - lag, u)) for lag in LAGS])
     edge = int(0.2 * rate)
     kept = slice(edge, len(grid) - edge, max(1, round(rate / RATE)))
-    torque, thrust = torque[kept], thrust[:, kept]
+    torque = torque[kept]
+    thrust = thrust[:, kept]
     if len(torque) < LEAST_SAMPLES:
         return None
     return torque - torque.mean(axis=0), thrust - thrust.mean(axis=1, keepdims=True)

@@ -13,14 +13,16 @@ from quadexp.plugins.check.candidates import COLUMNS, KEYS
 from quadexp.plugins.logs.finding import Finding, of_rows
 from quadexp.plugins.logs.signal.windows import STREAMS, attitude_rate
 
-NORM, NORM_BLOCKS = 0.01, 0.1  # of a quaternion: what rounding to two digits leaves
+NORM = 0.01  # of a quaternion: what rounding to two digits leaves
+NORM_BLOCKS = 0.1
 FROZEN = 0.2  # s
 LEAST_ROWS = 8  # fewer equal values in a row may be a coarse sensor's
 FROZEN_BLOCKS = 0.02  # share of the samples
 MOVES = 0.05  # rad/s or m/s: what a frozen sensor would have had to see
 TWINS = {"p": "v", "v": "p", "q": "w", "w": "q"}  # the stream that sees the same motion
 MOST_ROWS = 20_000  # that are looked at for axes that never move
-MANY_OUTLIERS, LEAST_OUTLIERS = 0.005, 8  # share of the samples, and samples, beyond which spikes block
+MANY_OUTLIERS = 0.005  # share of the samples beyond which spikes block
+LEAST_OUTLIERS = 8  # samples that do not block
 MANY_BEYOND = 0.0005  # share of the samples, of those that no vehicle can have
 SPIKE = 12.0  # robust standard deviations
 # The least that counts as a spike: beyond what flying does within a few samples.
@@ -245,7 +247,9 @@ def _bend(x: np.ndarray, t: np.ndarray, m: int) -> tuple[np.ndarray, float] | No
     A line may have been drawn over the times or over the samples.
     """
     bend = np.full(x.shape, np.inf)
-    first, middle, last = x[: -2 * m], x[m:-m], x[2 * m :]
+    first = x[: -2 * m]
+    middle = x[m:-m]
+    last = x[2 * m :]
     share = (t[m:-m] - t[: -2 * m]) / np.maximum(t[2 * m :] - t[: -2 * m], 1e-9)
     over_time, over_samples = (np.abs(first + part * (last - first) - middle) for part in (share, 0.5))
     bend[m:-m] = 2 * np.minimum(over_time, over_samples)
@@ -331,7 +335,8 @@ def _leaps(k: int, t: np.ndarray, period: float, streams: Mapping[str, np.ndarra
         return False
     p = streams["p"]
     if "v" in streams:
-        before, after = streams["v"][k], streams["v"][k + 1]
+        before = streams["v"][k]
+        after = streams["v"][k + 1]
     else:
         before = (p[k] - p[k - 2]) / max(t[k] - t[k - 2], period)
         after = (p[k + 2] - p[k + 1]) / max(t[k + 2] - t[k + 1], period)

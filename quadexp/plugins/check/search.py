@@ -31,11 +31,15 @@ from quadexp.plugins.logs.signal.windows import Windows
 
 MARGIN = 10.0  # log units: clean flights of every kind at hand stay below 2
 PER_COST = 4.5  # log units a unit of cost: a candidate that claims more must explain more
-BETTERS, WORSENS, RUINS = 3.0, 1.0, 30.0  # log units by which a candidate changes a relation
+# Log units by which a candidate changes a relation.
+BETTERS = 3.0
+WORSENS = 1.0
+RUINS = 30.0
 MOST_FAULTS = 4  # named one by one, each a search of its own
 MEASURED = ("scale", "heading")
 CALIBRATIONS = {"mounting", "bias", "scale"}
-FEW, FINALISTS = 100, 10  # every candidate is tried on so many windows first, the best ones on all
+FEW = 100  # windows that every candidate is tried on first
+FINALISTS = 10  # the best of them, which are tried on all
 NOTHING = 0.7  # floors: smaller residuals leave nothing to explain
 MOVING = 2.0  # floors that a stream must move by to be compared
 TELLING = 0.6  # of a residual that may be left once a factor is undone
@@ -69,7 +73,8 @@ class Trial:
     @property
     def measured(self) -> bool:
         """Whether its size is measured, so that a small one that leaves much of the misfit is real all the same."""
-        fault, streams = self.candidate.fault, self.candidate.streams
+        fault = self.candidate.fault
+        streams = self.candidate.streams
         return not self.candidate.blocks or fault in MEASURED or streams == "t" or len(self.candidate.axes) < 3
 
     def gain(self, name: str) -> float:
@@ -104,7 +109,8 @@ class Trial:
 
     def plausible(self) -> bool:
         """A candidate must make two moving streams agree, not only make both small, and make no relation worse."""
-        fault, better = self.candidate.fault, self.better
+        fault = self.candidate.fault
+        better = self.better
         if any(self.gain(name) < -RUINS for name in self.after):
             return False
         if fault in ("scale", "clock_scale") and not self.shrinks(TELLING, MOVES):
@@ -155,7 +161,9 @@ class Trial:
             text += f"; but {other.where}: {other.text}, is {likely}"
             advice += f"; decide between this and {', '.join(other.lines)}, which the data do not"
             severity = max(severity, other.severity, key=SEVERITIES.index)
-        fault, where, lines = candidate.fault, candidate.where, candidate.correction
+        fault = candidate.fault
+        where = candidate.where
+        lines = candidate.correction
         return Finding(fault, severity, where, text, CONVENTION, advice, correction=lines)
 
 
@@ -230,7 +238,8 @@ def _small_factors(windows: Windows, before: Agreements, taken: list[Candidate])
             continue
         if all(trial.gain(name) >= -WORSENS for name in trial.after):
             findings.append(trial.finding())
-            windows, before = trial.windows, trial.after
+            windows = trial.windows
+            before = trial.after
             said |= {*candidate.streams} if candidate.streams in "wf" else {"p", "v", "pv"}
     return findings, before
 

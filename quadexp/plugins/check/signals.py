@@ -16,7 +16,10 @@ from quadexp.plugins.logs.units import ELECTRICAL, UNITS
 ROUNDING = 0.005  # of the range: what quantisation and resampling may add
 SATURATED = 0.05  # share of the samples of one rotor
 STANDS = 0.01  # m, m/s: what motion capture makes of a vehicle that stands
-SPREAD, SPEED, SHAKES = 0.1, 0.15, 0.02  # m, m/s, rad/s: a vehicle that flies has one of them
+# A vehicle that flies has one of them.
+SPREAD = 0.1  # m
+SPEED = 0.15  # m/s
+SHAKES = 0.02  # rad/s
 CELL = (2.5, 4.45)  # V: of a lithium cell, empty and full
 MOST_CELLS = 14  # in series: 60 V
 ONE_CELL_MASS = 0.25  # kg: heavier vehicles fly on two cells or more
@@ -25,7 +28,8 @@ FASTEST_MEDIAN = 4e3  # rad/s: 38 000 rpm
 HOVER_RANGE = 2.5  # thrust goes with its square: a sixth of the hover's to six times
 SLOW = 3.0  # times below the least median speed: certainly another unit
 RADIUS = (0.35, 0.5)  # of a rotor over the distance to its neighbour
-SPEED_OF_SOUND, AIR_DENSITY = 340.0, 1.2  # m/s, kg/m^3
+SPEED_OF_SOUND = 340.0  # m/s
+AIR_DENSITY = 1.2  # kg/m^3
 LARGEST_THRUST_COEFFICIENT = 0.05  # of a rotor: T / (rho A (w r)^2)
 
 
@@ -154,9 +158,12 @@ def check_voltage(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
     least = 1 if vehicle is None or vehicle.mass < ONE_CELL_MASS else 2
     if least * CELL[0] <= middle <= MOST_CELLS * CELL[1]:
         return []
-    severity, text, advice = "warning", f"median {middle:.3g} V: not measured", ""
+    severity = "warning"
+    text = f"median {middle:.3g} V: not measured"
+    advice = ""
     if middle > 0:
-        severity, text = "blocking", f"median {middle:.3g} V"
+        severity = "blocking"
+        text = f"median {middle:.3g} V"
         advice = "state the unit of battery_voltage (V, dV, cV, mV) in the mapping"
     allowed = f"{CELL[0]:g} to {CELL[1]:g} V a cell, {least} to {MOST_CELLS} cells"
     return [Finding("implausible_voltage", severity, "battery_voltage", text, allowed, advice)]

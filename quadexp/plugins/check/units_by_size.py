@@ -10,14 +10,18 @@ import numpy as np
 from quadexp.physics.vehicle import GRAVITY
 from quadexp.plugins.logs.units import UNITS
 
-SURE, LIKELY, GUESS = "sure", "likely", "guess"  # shown to a user; nothing is decided by them
+# Shown to a user; nothing is decided by them.
+SURE = "sure"
+LIKELY = "likely"
+GUESS = "guess"
 SECONDS = {unit: UNITS["time"][unit] for unit in ("s", "ms", "us", "ns")}
 RATES = (4.0, 8200.0)  # Hz, of loggers
 EPOCHS = {"ns": 1e18, "us": 1e15, "ms": 1e12, "s": 1e9}  # since 1970: from 2001 on
 SLOWEST = 10.0  # s, between rows of a log whose times are since 1970
 # Units of position and velocity: gain of the velocity over the derivative.
 GAINS = {("m", "m/s"): 1.0, ("m", "mm/s"): 1e3, ("mm", "m/s"): 1e-3, ("m", "cm/s"): 100.0, ("cm", "m/s"): 0.01}
-FULL_TURN, UPSIDE = 6.4, 1.6  # rad: larger angles are degrees; roll and pitch that stay below it are not
+FULL_TURN = 6.4  # rad: larger angles are degrees
+UPSIDE = 1.6  # rad: roll and pitch that stay below it are not
 # Counts of a gyro for one deg/s, of 2000, 1000, 500 and 250 deg/s in 16 bits.
 COUNTS_PER_DEGREE = (16.4, 32.8, 65.5, 131.0)
 GYROS: dict[Any, float] = {**UNITS["rate"], **{n: UNITS["rate"]["deg/s"] / n for n in COUNTS_PER_DEGREE}}

@@ -79,7 +79,8 @@ def integral_of_force(stream: Stream, thrust: Integral, thrust_now: np.ndarray) 
 
 def age_of_state(stream: Stream, gravity: float, force: Integral | None = None) -> Age:
     """Of position, velocity and attitude. force: integral of the specific force; None: linear between the readings."""
-    gained = np.diff(stream.velocity, axis=0) + gravity * np.diff(stream.t)[:, None] * [0.0, 0.0, 1.0]
+    by_gravity = gravity * np.diff(stream.t)[:, None] * [0.0, 0.0, 1.0]
+    gained = np.diff(stream.velocity, axis=0) + by_gravity
     return _likeliest(stream, gained, force or integral_of(stream.t, stream.force))
 
 
@@ -115,14 +116,16 @@ def _likeliest(stream: Stream, change: np.ndarray, integral: Integral) -> Age:
     def likelihoods(shift: float) -> np.ndarray:
         """Log, by the whole flight and by each half of it, (3,)."""
         error = errors(shift)
-        parts = error, error[:half], error[half:]
-        # about the mean: a bias of the sensor is no age
-        return np.array([-len(part) / OVERLAP / 2 * np.log(np.var(part, axis=0) + TINY).sum() for part in parts])
+        logs = []
+        for part in (error, error[:half], error[half:]):
+            variance = np.var(part, axis=0)  # about the mean: a bias of the sensor is no age
+            logs.append(-len(part) / OVERLAP / 2 * np.log(variance + TINY).sum())
+        return np.array(logs)
 
     def peak(part: int) -> tuple[float, float]:
         """The likeliest shift and its likelihood, beside the best of those tried."""
-        near = tried[int(tried_likelihoods[:, part].argmax())] + STEP * np.array([-1.0, 1.0])
-        bounds = np.clip(near, 0.0, LARGEST_AGE)
+        near = tried[tried_likelihoods[:, part].argmax()]
+        bounds = np.clip([near - STEP, near + STEP], 0.0, LARGEST_AGE)
         best = minimize_scalar(lambda shift: -likelihoods(shift)[part], bounds=bounds, method="bounded")
         return float(best.x), -float(best.fun)
 
@@ -133,9 +136,12 @@ def _likeliest(stream: Stream, change: np.ndarray, integral: Integral) -> Age:
     alike = tried[likelihood > -WITHIN]
     remaining = errors(value)
     slope = (errors(value + STEP) - remaining) / STEP
-    information = len(body) / OVERLAP * np.sum(np.var(slope, axis=0) / (np.var(remaining, axis=0) + TINY))
-    range_or_halves = max(abs(peak(1)[0] - peak(2)[0]), np.abs(alike - value).max(initial=0.0))
+    signal_to_noise = np.var(slope, axis=0) / (np.var(remaining, axis=0) + TINY)
+    information = len(body) / OVERLAP * np.sum(signal_to_noise)
+    between_halves = abs(peak(1)[0] - peak(2)[0])
+    range_or_halves = max(between_halves, np.abs(alike - value).max(initial=0.0))
     error = max(information**-0.5, range_or_halves / 2)
     if likelihood[0] > -WORTH:
-        value, error = 0.0, max(error, value)
+        error = max(error, value)
+        value = 0.0
     return Age(value, float(error), tried, likelihood)

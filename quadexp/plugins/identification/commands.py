@@ -69,8 +69,10 @@ def _accepted(context: typer.Context, method: str, reason: str) -> None:
     """Say which method is taken; UsageError for an option on the command line that it does not have."""
     for option in context.command.params:
         having = [other for other, names in OPTIONS.items() if option.name in names]
+        if not having or method in having:
+            continue
         source = context.get_parameter_source(str(option.name))
-        if having and method not in having and source is not None and source.name == "COMMANDLINE":
+        if source is not None and source.name == "COMMANDLINE":
             raise UsageError(f"identify {option.opts[0]}: is for --method {' or '.join(having)}, not {method}")
     if method not in ("delays", "torque"):
         say(f"{method}: {reason}")
@@ -98,10 +100,16 @@ def validate(
     from quadexp.plugins.identification import validate as validation
     from quadexp.plugins.identification.config_for import config_for
 
-    overrides = [text for text in words if "=" in text]
-    paths = [Path(text) for text in words if "=" not in text]
-    tested = [*flights, *(path for path in paths if path.suffix == ".parquet")]
-    models = [path for path in paths if path.suffix != ".parquet"]
+    overrides = []
+    models = []
+    tested = list(flights)
+    for text in words:
+        if "=" in text:
+            overrides.append(text)
+        elif Path(text).suffix == ".parquet":
+            tested.append(Path(text))
+        else:
+            models.append(Path(text))
     if not tested:
         raise UsageError("validate: no flight given; add --flights FLIGHT...")
     try:
@@ -114,4 +122,7 @@ def validate(
             models, tested, config, horizons=seconds, leave_one_out=leave_one_out, out=out, figures=figures,
             force=force, progress=progress,
         )  # fmt: skip
-    return Answer(without(report, ("lines",)), report["rows"], [*report["lines"], *([out] if out else [])])
+    lines = report["lines"]
+    if out is not None:
+        lines = [*lines, out]
+    return Answer(without(report, ("lines",)), report["rows"], lines)

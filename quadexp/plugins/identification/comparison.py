@@ -71,9 +71,11 @@ def _selection_row(
     """See `selection`. key: the level in the table."""
     row: dict[str, Any] = {"level": key, "name": name, "in_sample": None, "held_out": None, "note": ""}
     try:
-        row["in_sample"] = rmse(fit_level(level, samples, settings, momentum, intervals=False).residual(samples))
+        fit = fit_level(level, samples, settings, momentum, intervals=False)
+        row["in_sample"] = rmse(fit.residual(samples))
         held_out = left_out(level, samples, settings, momentum)
-        row["held_out"] = rmse(np.concatenate(list(held_out.values()))) if held_out else None
+        if held_out:
+            row["held_out"] = rmse(np.concatenate(list(held_out.values())))
     except DataError as error:
         row["note"] = str(error)
     return row
@@ -95,7 +97,9 @@ def left_out(level: str, samples: Samples, settings: FitSettings, momentum: floa
 def by_flight(samples: Samples) -> np.ndarray | None:
     """Fold of every sample, (k,), None for one flight."""
     count = len(samples.names)
-    return samples.flight % min(count, MOST_FOLDS) if count > 1 else None
+    if count < 2:
+        return None
+    return samples.flight % min(count, MOST_FOLDS)
 
 
 def _folds(samples: Samples, fold: np.ndarray | None) -> list[tuple[Samples, Samples]]:
@@ -120,7 +124,8 @@ def compare_curves(samples: Samples, settings: FitSettings) -> list[dict[str, An
     if len(samples.names) == 2:
         sizes = np.bincount(flight)
         first = np.cumsum(sizes) - sizes
-        halves = 2 * flight + (2 * (np.arange(len(flight)) - first[flight]) >= sizes[flight])
+        place = np.arange(len(flight)) - first[flight]  # in its flight
+        halves = 2 * flight + (2 * place >= sizes[flight])
     folds = {"held_out": _folds(samples, by_flight(samples)), "halves_out": _folds(samples, halves)}
     voltages = ("unused",) if samples.voltage is None else ("unused", "V", "V^g")
     rows = []
@@ -136,10 +141,12 @@ def compare_curves(samples: Samples, settings: FitSettings) -> list[dict[str, An
         rows.append(row)
         try:
             curve, residual = _curve_residual(samples, samples, of_curve)
-            row |= {"in_sample": rms(residual), "exponent": curve.voltage_exponent}
+            row["in_sample"] = rms(residual)
+            row["exponent"] = curve.voltage_exponent
             for key, parts in folds.items():
-                if parts:
-                    row[key] = rms(np.concatenate([_curve_residual(*part, of_curve)[1] for part in parts]))
+                residuals = [_curve_residual(*part, of_curve)[1] for part in parts]
+                if residuals:
+                    row[key] = rms(np.concatenate(residuals))
         except DataError as error:
             row["note"] = str(error)
     return rows
@@ -158,7 +165,7 @@ def best_level(rows: Sequence[Mapping[str, Any]], levels: Sequence[str] = (*KIND
     for row in rows:
         if row["level"] in levels and row[key] and not row["note"]:
             scored[row["level"]] = row[key]["norm"]
-    return min(scored, key=scored.__getitem__) if scored else "linear"
+    return min(scored, key=scored.__getitem__, default="linear")
 
 
 def chosen_curve(curves: Sequence[Mapping[str, Any]], settings: FitSettings) -> FitSettings:

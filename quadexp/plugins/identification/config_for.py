@@ -19,13 +19,17 @@ def config_for(flights: Sequence[Path], overrides: Sequence[str] = (), conf: Fol
 
     Raises DataError where the flights are of different vehicles, or of one with other parameters in the configuration.
     """
-    flown = {str(path): dict(read_metadata(path).get("vehicle") or {}) for path in flights}
-    named = {path: record for path, record in flown.items() if record.get("fingerprint")}
-    words = sorted({f"{record.get('name')} ({record['fingerprint']})" for record in named.values()})
-    if len({record["fingerprint"] for record in named.values()}) > 1:
+    named = []  # the path of each flight that says its vehicle, and what it says
+    for path in flights:
+        record = read_metadata(path).get("vehicle") or {}
+        if record.get("fingerprint"):
+            named.append((path, record))
+    words = sorted({f"{record.get('name')} ({record['fingerprint']})" for _, record in named})
+    if len({record["fingerprint"] for _, record in named}) > 1:
         raise DataError(f"the flights are of different vehicles: {', '.join(words)}")
     values = list(overrides)
-    path, record = next(iter(named.items()), ("", {}))
+    if named:
+        path, record = named[0]
     with session(conf) as composer:
         if named and not any(text.startswith("vehicle=") for text in values):
             config = read_metadata(path).get("config") or {}

@@ -25,7 +25,8 @@ from quadexp.models.residual import VELOCITY
 from quadexp.parts.options import Folders
 from quadexp.physics.vehicle import GRAVITY, Vehicle
 from quadexp.plugins.identification.ages import Age, Stream, age_of_rates, age_of_state, integral_of_force
-from quadexp.plugins.identification.rotor_thrust import HeldCommands, Timing, fit_timing
+from quadexp.plugins.identification.held_commands import HeldCommands, Timing
+from quadexp.plugins.identification.rotor_thrust import fit_timing
 from quadexp.plugins.logs.command_lag import FINE, CommandLag, find_lag
 from quadexp.plugins.logs.samples import COMMANDS, QUATERNION, RATES, READINGS, check_columns, gather, rotor_columns
 from quadexp.plugins.logs.vehicle_of import own_vehicle
@@ -160,7 +161,8 @@ def delays_of(flight: Flight, name: str, vehicle: Vehicle | None) -> Found:
     if vehicle is not None and simulated and delays.age_known and unknown:
         by_transitions = _by_transitions(told, vehicle, delays, late)
         if by_transitions is not None:
-            delays, commands = by_transitions, Commands(late, TRANSITIONS)
+            delays = by_transitions
+            commands = Commands(late, TRANSITIONS)
     return Found(delays, commands, state, rates)
 
 
@@ -177,8 +179,8 @@ def stream_of(flight: Flight, name: str) -> Stream:
     if np.ptp(steps) > UNEVEN * steps.mean():
         raise DataError(f"{name}: delays are found in samples that are evenly spaced; these are not")
     attitude = Rotation.from_quat(flight.stack(QUATERNION)[rows], scalar_first=True)
-    velocity, rates, force = (flight.stack(names)[rows] for names in (VELOCITY, RATES, READINGS))
-    return Stream(t[rows], velocity, attitude, rates, force)
+    velocity = flight.stack(VELOCITY)[rows]
+    return Stream(t[rows], velocity, attitude, flight.stack(RATES)[rows], flight.stack(READINGS)[rows])
 
 
 def commands_of(flight: Flight, name: str) -> Commands:
@@ -242,7 +244,8 @@ def _draw(found: Found, path: Path) -> None:
     from quadexp.plugins.drawing.style import save
     from quadexp.plugins.identification.figures import Profile, delay_figure
 
-    delays, late = found.delays, found.commands.late
+    delays = found.delays
+    late = found.commands.late
     state = found.state
     profiles = [Profile("age of the state", state.tried, state.likelihood, delays.age, delays.age_error)]
     if late is not None:
@@ -256,7 +259,8 @@ def _draw(found: Found, path: Path) -> None:
 
 def report(found: Found) -> list[str]:
     """In words, a line each."""
-    delays, (late, by, rotors) = found.delays, found.commands
+    delays = found.delays
+    late, by, rotors = found.commands
     age = "age of position, velocity and attitude"
     if delays.age_known:
         lines = [f"{age}: {1e3 * delays.age:.1f} ms, standard error {1e3 * delays.age_error:.1f} ms"]

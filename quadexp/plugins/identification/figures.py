@@ -16,6 +16,10 @@ from quadexp.plugins.identification.thrust_curve import ThrustCurve, scaled_sign
 from quadexp.plugins.identification.vehicle_model import VehicleModel
 from quadexp.plugins.logs.samples import SIGNALS, Samples
 from quadexp.plugins.page.model_figures import BINS, MOST_DOTS, _legend_above, density
+from quadexp.report.pairing import grouped
+
+MS = 1e3  # of a second
+SHOWN = 20.0  # log likelihood below the best that is drawn
 
 
 class Profile(NamedTuple):
@@ -75,10 +79,13 @@ def thrust_figure(curve: ThrustCurve, samples: Samples) -> Figure:
         beyond.plot(centre, (low + high) / 2, color=colour, label=name)
     force.plot(grid, total, color="#000000", label="thrust curve")
     units = SIGNALS[curve.signal]
-    label = f"{curve.signal.replace('_', ' ')}, mean of the rotors" + (f" ({units})" if units != "1" else "")
+    label = f"{curve.signal.replace('_', ' ')}, mean of the rotors"
+    if units != "1":
+        label += f" ({units})"
     if curve.reference_voltage:
-        power = "" if curve.voltage_exponent == 1 else f"^{curve.voltage_exponent:.3g}"
-        label += f", times (V / {curve.reference_voltage:g} V){power}"
+        label += f", times (V / {curve.reference_voltage:g} V)"
+        if curve.voltage_exponent != 1:
+            label += f"^{curve.voltage_exponent:.3g}"
     force.set(xlabel=label, ylabel="specific force along z (m/s²)", title="thrust curve")
     beyond.set(xlabel=label, ylabel="specific force minus curve (m/s²)", title="residual: mean ± 1 std in bins")
     force.legend()
@@ -102,20 +109,22 @@ def drag_figure(model: VehicleModel, samples: Samples) -> Figure:
     target = samples.force - rotors.sum(axis=1)[:, None] * [0, 0, 1]
     usual = np.tile(np.median(rotors, axis=0), (100, 1))
     fitted = [(model.linear, ORANGE, "-")]
-    fitted += [(model.quadratic, HUES["green"], "--")] if model.quadratic is not None else []
+    if model.quadratic is not None:
+        fitted.append((model.quadratic, HUES["green"], "--"))
     figure = Figure(figsize=(9.6, 3.4))
     panels = figure.subplots(1, 3)
     for i, (axis, panel) in enumerate(zip(AXES, panels, strict=True)):
-        v, a = samples.velocity[:, i], target[:, i]
+        v = samples.velocity[:, i]
+        a = target[:, i]
         low, high = np.quantile(a, [0.002, 0.998])
-        limits = low - 0.15 * (high - low), high + 0.15 * (high - low)
+        margin = 0.15 * (high - low)
+        limits = (low - margin, high + margin)
         grid = np.zeros((100, 3))
         grid[:, i] = np.linspace(v.min(), v.max(), 100)
         density(panel, v, a, (v.min(), v.max(), *limits), (50, 30))
         for terms, colour, dash in fitted:
-            panel.plot(
-                grid[:, i], terms.acceleration(grid, usual)[:, i], color=colour, linestyle=dash, label=terms.kind
-            )
+            drag = terms.acceleration(grid, usual)
+            panel.plot(grid[:, i], drag[:, i], color=colour, linestyle=dash, label=terms.kind)
         value, error = model.linear.coefficient(axis, "linear")
         half = half_width(error, model.linear.freedom[i])
         panel.set(title=f"$d_{axis}$ = {value:.3f} ± {half:.3f} 1/s", ylim=limits)
@@ -138,7 +147,8 @@ def band_figure(bands: Sequence[Mapping[str, Any]]) -> Figure:
     panels = figure.subplots(1, 2, sharey=True)
     titles = {"rms": "as fitted", "rms_tracked": "thrust scale tracked"}
     for panel, (key, title) in zip(panels, titles.items(), strict=True):
-        _draw_curves(panel, [(row["predictor"], (row["low"] + row["high"]) / 2, row[key]) for row in bands], look)
+        points = [(row["predictor"], (row["low"] + row["high"]) / 2, row[key]) for row in bands]
+        _draw_curves(panel, points, look)
         panel.set(title=title, xlabel="speed (m/s)", ylabel="residual, RMS (m/s²)", ylim=(0, None))
     _legend_above(figure)
     return figure
@@ -151,18 +161,20 @@ def rollout_figure(rollouts: Sequence[Mapping[str, Any]]) -> Figure:
     Modes with all 13 states have errors of attitude and rate too.
     """
     rows = [row for row in rollouts if row["thrust_tracked"]]
-    modes = [mode for mode in MODES if any(row["mode"] == mode for row in rows)]
+    flown_modes = {row["mode"] for row in rows}
+    modes = [mode for mode in MODES if mode in flown_modes]
     quantities = [name for name in QUANTITIES if any(name in row for row in rows)]
+    by_horizon = sorted(rows, key=lambda row: row["horizon"])
     look = looks([row["predictor"] for row in rows])
     figure = Figure(figsize=(0.6 + 3.1 * len(quantities), 0.5 + 2.5 * len(modes)))
     grid = figure.subplots(len(modes), len(quantities), squeeze=False)
     for (i, j), panel in np.ndenumerate(grid):
-        mode, quantity = modes[i], quantities[j]
-        errors = [
-            (row["predictor"], row["horizon"], error_of(row, quantity))
-            for row in sorted(rows, key=lambda row: row["horizon"])
-            if row["mode"] == mode and quantity in row
-        ]
+        mode = modes[i]
+        quantity = quantities[j]
+        errors = []
+        for row in by_horizon:
+            if row["mode"] == mode and quantity in row:
+                errors.append((row["predictor"], row["horizon"], error_of(row, quantity)))
         if not errors:
             panel.remove()
             continue
@@ -175,12 +187,7 @@ def rollout_figure(rollouts: Sequence[Mapping[str, Any]]) -> Figure:
 
 def _draw_curves(panel: Any, points: Sequence[tuple[str, float, float]], look: Mapping[str, Look]) -> None:
     """A line with markers for each predictor. points: predictor, x, y."""
-    for name in dict.fromkeys(name for name, _, _ in points):
-        curve = [(x, y) for other, x, y in points if other == name]
-        panel.plot(*zip(*curve, strict=True), label=name, **look[name].points())
-
-
-MS = 1e3  # of a second
-
-
-SHOWN = 20.0  # log likelihood below the best that is drawn
+    curves = grouped((name, (x, y)) for name, x, y in points)
+    for name, curve in curves.items():
+        x, y = zip(*curve, strict=True)
+        panel.plot(x, y, label=name, **look[name].points())

@@ -83,7 +83,8 @@ class FromModelPlant(SimulatedPlant):
 def _equations(vehicle: Vehicle, model: Residual, model_mass: float | None, noisy: bool) -> Equations:
     """RK4, the noise, (6,) or none, held over each step; the parameters are [densities (6,) of a and tau, theta]."""
     n = vehicle.n_rotors
-    features, derivative = features_function(vehicle), derivative_function(vehicle)
+    features = features_function(vehicle)
+    derivative = derivative_function(vehicle)
     x, command, noise, step, parameters = symbols(
         ca.MX, x=N_STATE, u=n, noise=6 * noisy, step=1, parameters=6 + len(model.theta)
     )

@@ -109,8 +109,15 @@ def identify_files(
         lines += [*result.lines(), path]
         for name, value in record["estimates"].items():
             low, high = record.get("interval_95", {}).get(name, (None, None))
-            row = {"flight": record["flight"], "coefficient": name, "value": value, "low": low, "high": high}
-            rows.append(row | {"recursion": record["recursion"][name], "path": path})
+            rows.append({
+                "flight": record["flight"],
+                "coefficient": name,
+                "value": value,
+                "low": low,
+                "high": high,
+                "recursion": record["recursion"][name],
+                "path": path,
+            })  # fmt: skip
     return {"out": out, "flights": records, "rows": rows, "lines": lines}
 
 
@@ -147,7 +154,8 @@ def identify_vehicle(
         best = best_level(ladder)
     if "blade_element" in fitted and best_level(ladder, ("blade_element", HOVER_INFLOW)) == HOVER_INFLOW:
         settings = replace(settings, induced=False)
-        best = HOVER_INFLOW if best == "blade_element" else best
+        if best == "blade_element":
+            best = HOVER_INFLOW
     kept = "blade_element" if best == HOVER_INFLOW else best
     model = fit_vehicle_model(flights, vehicle, settings, names=names, samples=samples, best=kept)
     torque, notes = torque_of(flights, names, vehicle, samples, model.thrust)
@@ -200,8 +208,8 @@ def _lean(flight: Flight) -> Flight:
 
 
 def identify_flights(
-    paths: Sequence[Path], out: Path, vehicle: Vehicle | None, settings: FitSettings, *, force: bool = False,
-    figures: bool = True, conf: Folders = None,
+    paths: Sequence[Path], out: Path, vehicle: Vehicle | None, settings: FitSettings, *, force: bool, figures: bool,
+    conf: Folders,
 ) -> dict[str, Any]:  # fmt: skip
     """Read, identify, write the checkpoint folder with its figures. vehicle: None: the one recorded in the flights, if
     any. Returns the report, with `rows`, `lines` and `main`, those that matter first.
@@ -217,9 +225,8 @@ def identify_flights(
     flights = list(map(read_recorded, paths))
     samples = gather_to_fit(flights, settings.signal, names)
     flights = [_lean(flight) for flight in flights]
-    model, _, report = identify_vehicle(
-        flights, names, vehicle or own_vehicle(flights[0], conf), settings, samples=samples
-    )
+    vehicle = vehicle or own_vehicle(flights[0], conf)
+    model, _, report = identify_vehicle(flights, names, vehicle, settings, samples=samples)
     save_model(out, model, report={**report, "versions": versions(), "provenance": provenance()}, force=force)
     files = {}
     if figures:

@@ -46,10 +46,10 @@ def momentum_of(vehicle: Vehicle | None, radius: float | None) -> float:
     if vehicle is None:
         return 0.0
     geometry = vehicle.rotor_geometry if vehicle.rotor else None
-    if radius is None:
-        return geometry.momentum_factor / vehicle.mass if geometry else 0.0
-    density = geometry.air_density if geometry else AIR_DENSITY
-    return 2 * density * math.pi * radius**2 / vehicle.mass
+    if radius is not None:
+        density = geometry.air_density if geometry else AIR_DENSITY
+        return 2 * density * math.pi * radius**2 / vehicle.mass
+    return geometry.momentum_factor / vehicle.mass if geometry else 0.0
 
 
 @cache
@@ -59,8 +59,10 @@ def _force_function(rotors: int, kappa: float) -> ca.Function:
     point = OperatingPoint(v, a, Inflow(kappa, theta[1], theta[2], theta[0]), V)
     equation = point.balance
     force = sum(theta[j] * TERMS[name].phi(point, 2) for j, name in enumerate(Z_TERMS))
-    slope = ca.jacobian(force, theta) + ca.jacobian(force, V) @ equation.derivative(V, theta)
-    solved = ca.substitute(ca.vertcat(force, slope.T), V, safe_newton(equation, ITERATIONS))
+    through_inflow = ca.jacobian(force, V) @ equation.derivative(V, theta)
+    slope = ca.jacobian(force, theta) + through_inflow
+    induced = safe_newton(equation, ITERATIONS)
+    solved = ca.substitute(ca.vertcat(force, slope.T), V, induced)
     return ca.Function("force", [v, a, theta], [ca.densify(ca.cse(solved))])
 
 
@@ -76,9 +78,11 @@ def fit_inflow(velocity: np.ndarray, rotor_acceleration: np.ndarray, target: np.
 
     def evaluate(theta: np.ndarray, every: int) -> tuple[np.ndarray, np.ndarray]:
         """f - target, (k,), and df/dtheta, (k, 4), at every so many samples."""
-        v, a = velocity[::every], rotor_acceleration[::every]
+        v = velocity[::every]
+        a = rotor_acceleration[::every]
         values = np.empty((len(v), 1 + len(Z_TERMS)))
-        evaluate_rows(function, (v, a, np.tile(theta, (len(v), 1))), values)
+        thetas = np.tile(theta, (len(v), 1))
+        evaluate_rows(function, (v, a, thetas), values)
         return values[:, 0] - target[::every], values[:, 1:]
 
     every = -(-len(target) // SEARCH_SAMPLES)

@@ -53,7 +53,8 @@ def main_lines(model: Any, report: Row) -> list[str]:
     lines = [_data_line(model), f"thrust      {model.thrust}", f"drag        {drag} 1/s"]
     level = report.get("best_row", report["best"])
     for row in (row for row in report["selection"] if row["level"] == level):
-        score, where = row["held_out"] or row["in_sample"], "on flights left out" if row["held_out"] else "in sample"
+        score = row["held_out"] or row["in_sample"]
+        where = "on flights left out" if row["held_out"] else "in sample"
         error = f": RMSE {score['norm']:.3f} m/s^2 {where}" if score else ""
         lines.append(f"best        {row['name'].strip('+ ')}{error}")
     lines += _numbers(model, report)
@@ -62,12 +63,15 @@ def main_lines(model: Any, report: Row) -> list[str]:
 
 def _numbers(model: Any, report: Row) -> list[str]:
     """Numbers that a person uses, and the torque."""
-    torque = [] if model.torque is None else [f"torque      {model.torque}"]
-    return torque + number_lines(report["numbers"], model.linear.records())
+    lines = number_lines(report["numbers"], model.linear.records())
+    if model.torque is None:
+        return lines
+    return [f"torque      {model.torque}", *lines]
 
 
 def _data_line(model: Any) -> str:
-    data, name = model.dataset, model.vehicle.get("name") or "an unnamed vehicle"
+    data = model.dataset
+    name = model.vehicle.get("name") or "an unnamed vehicle"
     return f"regression on {data['flights']} flights of {name}, {data['rows']} samples, {data['duration']:.0f} s"
 
 
@@ -86,7 +90,8 @@ def model_lines(model: Any) -> list[str]:
         for axis in "xyz":
             rows = [row for row in terms.records() if row["axis"] == axis]
             text = ", ".join(f"{r['term']} {r['value']:.4g} +- {r['high'] - r['value']:.2g} {r['unit']}" for r in rows)
-            lines.append(f"{kind.replace('_', ' ') if axis == 'x' else '':<14}{axis}: {text}")
+            name = kind.replace("_", " ") if axis == "x" else ""
+            lines.append(f"{name:<14}{axis}: {text}")
     return lines
 
 
@@ -103,7 +108,9 @@ def _curve_lines(curves: Sequence[Row], model: Any) -> list[str]:
     if not curves:
         return []
     curve = model.thrust
-    used = "unused" if not curve.reference_voltage else "V" if curve.voltage_exponent == 1 else "V^g"
+    used = "unused"
+    if curve.reference_voltage:
+        used = "V" if curve.voltage_exponent == 1 else "V^g"
     signals = {"unused": "command", "V": "command V/V_ref", "V^g": "command (V/V_ref)^g"}
     title = "thrust curves: RMSE along z (m/s^2), in sample, on flights left out"
     parts = {"in_sample": "in sample", "held_out": "left out"}
@@ -157,7 +164,8 @@ def error_of(row: Row, quantity: str) -> float:
 
 def validation_lines(report: Row) -> list[str]:
     """Notes, one-step residuals, speed bands, open-loop errors."""
-    flights, rows = report["flights"], report["rows"]
+    flights = report["flights"]
+    rows = report["rows"]
     how = "each by models refitted to the others" if report["leave_one_out"] else "by the models as they are"
     lines = [*report["notes"], f"{len(flights)} flights, {rows[0]['rows']} samples, {how}", ""]
     lines += _one_step_lines(rows, len(flights))
@@ -181,22 +189,26 @@ def _torque_lines(torque: Row) -> list[str]:
     if "note" in torque:
         return [torque["note"]]
     lines = replay_lines(torque["rollouts"])
-    return lines if torque["shown"] else [*lines, f"{DOES_NOT_SHOW}: the replay model is no better than blind"]
+    if not torque["shown"]:
+        lines.append(f"{DOES_NOT_SHOW}: the replay model is no better than blind")
+    return lines
 
 
 def _least_lines(rows: Sequence[Row]) -> list[str]:
     """The best model's share of nominal's residual: as fitted, and with the thrust scale tracked."""
 
-    def least(tracked: bool) -> Row:
-        return min((row for row in rows if row["thrust_tracked"] == tracked), key=lambda row: row["rms"])
+    def least(rows: Sequence[Row]) -> Row:
+        return min(rows, key=lambda row: row["rms"])
 
     def text(row: Row, key: str) -> str:
         return f"{_percent(row, key)} [{100 * row[key + '_low']:.1f}, {100 * row[key + '_high']:.1f}] of nominal"
 
-    fitted, tracked = least(False), least(True)
+    fitted = least(rows[::2])
+    tracked = least(rows[1::2])
     if "share" not in fitted:
         return []
-    alike, share = text(tracked, "share_alike"), text(tracked, "share")
+    alike = text(tracked, "share_alike")
+    share = text(tracked, "share")
     return [
         f"least, as fitted: {fitted['predictor']}, {text(fitted, 'share')} as fitted",
         f"least, thrust scale tracked: {tracked['predictor']}, {alike} with its scale tracked too, {share} as fitted",

@@ -77,9 +77,8 @@ def logged_thrust(flights: Sequence[Flight], vehicle: Vehicle) -> ThrustCurve:
         return all(rotor_columns(flight, signal) for flight in flights)
 
     def curve(signal: str, power: float, coefficient: float) -> ThrustCurve:
-        return ThrustCurve(
-            signal, np.array([power]), np.array([coefficient]), np.zeros(1), rotors=vehicle.n_rotors
-        )  # fmt: skip
+        powers = np.array([power])
+        return ThrustCurve(signal, powers, np.array([coefficient]), np.zeros(1), rotors=vehicle.n_rotors)
 
     simulated = not any(map(is_recorded, flights))
     if simulated and vehicle.thrust_coefficient is not None and have("rotor_speed"):
@@ -156,6 +155,8 @@ def tracked_scale(collective: np.ndarray, measured: np.ndarray, dt: float) -> np
 
     decay = float(np.exp(-dt / MEMORY))
     first = int(np.argmax(collective != 0))
-    prior = PRIOR / dt * (collective[first] or 1.0) ** 2 * decay ** np.maximum(np.arange(len(collective)) - first, 0)
-    past = lfilter([0.0, 1.0], [1.0, -decay], np.stack([collective * measured, collective * collective]), axis=1)
-    return (prior + past[0]) / (prior + past[1])
+    elapsed = np.maximum(np.arange(len(collective)) - first, 0)  # samples
+    prior = PRIOR / dt * (collective[first] or 1.0) ** 2 * decay**elapsed
+    products = np.stack([collective * measured, collective * collective])
+    above, below = lfilter([0.0, 1.0], [1.0, -decay], products, axis=1)
+    return (prior + above) / (prior + below)

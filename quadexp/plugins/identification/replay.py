@@ -39,13 +39,15 @@ from quadexp.parts.schema import Config, controller_name
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification import validation
 from quadexp.plugins.identification.config_for import config_for
+from quadexp.plugins.identification.predictors import Predictor, predictors
 from quadexp.plugins.identification.replay_log import LoggedPath, Noise
 from quadexp.plugins.identification.torque_gain import TorqueGain
 from quadexp.plugins.identification.turning import between_samples
-from quadexp.plugins.identification.validation import POINT, WORLD_VELOCITY, Predictor
+from quadexp.plugins.identification.validation import POINT, WORLD_VELOCITY
 from quadexp.plugins.identification.vehicle_model import VehicleModel
 from quadexp.plugins.logs.samples import QUATERNION, FlightRows, read_rows
 from quadexp.provenance import provenance, versions
+from quadexp.report.pairing import grouped
 from quadexp.writer import check_output, write_text
 
 SMOOTH = 0.3  # s between the knots of the path's spline
@@ -75,20 +77,22 @@ def replay_test(
     _refuse_groups(words)
     flight = read_flight(log, whole=True)
     of_vehicle = [word for word in words if word.startswith("vehicle")]
-    if not (flight.metadata.get("vehicle") or {}).get("name") and not of_vehicle:
+    stated = flight.metadata.get("vehicle") or {}
+    if not stated.get("name") and not of_vehicle:
         raise UsageError(f"{log}: does not say its vehicle: give vehicle=NAME")
     vehicle = build_vehicle(config_for([log], of_vehicle, conf).vehicle)
     model = load_model(model_path, vehicle=vehicle, unknown=True)
-    predictors = validation.predictors(model, model_path.name, vehicle, None)
-    best = 1 + list(model.models).index(model.best) if isinstance(model, VehicleModel) else 0
-    predictor = predictors[best]
+    best = 0
+    if isinstance(model, VehicleModel):
+        best = 1 + list(model.models).index(model.best)
+    predictor = predictors(model, model_path.name, vehicle, None)[best]
     curve = predictor.curve
     sent = read_rows(flight, log.stem, curve.signal)
     rows = read_rows(flight, log.stem, curve.signal, curve.delay, curve.lag)
     path = logged_path(sent, predictor, str(log))
     torque = model.torque if isinstance(model, VehicleModel) else None
     noise = noise_of(rows, predictor, vehicle, torque)
-    flights: list[Flight] = []
+    flights = []
     with tempfile.TemporaryDirectory() as folder:
         track = Path(folder) / "path.csv"
         write_track(track, path)
@@ -98,12 +102,12 @@ def replay_test(
             if member and isinstance(model, VehicleModel):
                 drawn = drawn_model(model, load_report(model_path), np.random.default_rng(member))
                 plant = save_model(Path(folder) / f"member_{member}", drawn)
-            stated = [
+            overrides = [
                 "plant=from_model", f"plant.model={plant}", f"plant.force_noise_density={noise.force!r}",
                 f"plant.torque_noise_density={noise.torque!r}", "trajectory=file", f"trajectory.path={track}",
                 f"trajectory.smooth={SMOOTH}", f"seed={member}", *_late(curve.delay, curve.lag, words),
             ]  # fmt: skip
-            config = composed(flight, [*stated, *words], conf)
+            config = composed(flight, [*overrides, *words], conf)
             flights.append(fly_one(config))
         progress(members, members)
     kept = [flown for flown in flights if flown.metadata["outcome"] == "ok"]
@@ -153,13 +157,15 @@ def composed(flight: Flight, words: Sequence[str], conf: Folders) -> Config:
     from quadexp.plugins.margins.recorded import recorded_words
 
     recorded = flight.metadata.get("config") or {}
-    flown = {} if is_recorded(flight) else {key: recorded[key] for key in ("controller",) if key in recorded}
-    named = any(word.startswith("vehicle=") for word in words)
-    with session(conf) as composer:
-        if recorded.get("vehicle") and not named:
+    flown = {}
+    if "controller" in recorded and not is_recorded(flight):
+        flown["controller"] = recorded["controller"]
+    if not any(word.startswith("vehicle=") for word in words):
+        if recorded.get("vehicle"):
             flown["vehicle"] = recorded["vehicle"]
-        elif not named:
+        else:
             words = [f"vehicle={flight.metadata['vehicle']['name']}", *words]
+    with session(conf) as composer:
         words = recorded_words(composer, flown, words, flight.metadata.get("classes") or {})
         return composer.compose(words, "simulate")
 
@@ -170,7 +176,10 @@ def logged_path(rows: FlightRows, predictor: Predictor, name: str) -> LoggedPath
     Raises DataError where less than SHORTEST seconds lie between gaps."""
     samples = rows.samples
     joined = (np.diff(samples.time) <= 1.5 * rows.dt) & (np.diff(samples.segment) == 0)
-    first, last = longest(joined) if joined.any() else (0, 0)
+    first = 0
+    last = 0
+    if joined.any():
+        first, last = longest(joined)
     stretch = slice(first, last + 1)
     at = slice(rows.first + first, rows.first + last + 1)
     t = samples.time[stretch]
@@ -190,7 +199,10 @@ def logged_path(rows: FlightRows, predictor: Predictor, name: str) -> LoggedPath
     if attitude is None:
         attitude = flight.stack(QUATERNION)[at]
     w, x, y, z = attitude.T
-    yaw = np.unwrap(np.arctan2(-2 * (x * y - w * z), 1 - 2 * (x * x + z * z)))  # y_body level: (-sin yaw, cos yaw)
+    # The level part of y_body is (-sin yaw, cos yaw).
+    minus_sine = 2 * (x * y - w * z)
+    cosine = 1 - 2 * (x * x + z * z)
+    yaw = np.unwrap(np.arctan2(-minus_sine, cosine))
     wind = None if is_recorded(flight) else 0.0
     if flight.wind is not None:
         wind = float(np.linalg.norm(flight.wind[at].mean(axis=0)))
@@ -218,7 +230,8 @@ def drawn_model(model: VehicleModel, report: Mapping[str, Any], rng: np.random.G
     terms = model.model()
     drawn = []
     for axis, names, value, covariance in zip("xyz", terms.terms, terms.coefficients, terms.covariance, strict=True):
-        total = np.reshape(covariance, (len(names), len(names))) + np.diag(_between_flights(report, axis, names))
+        of_fit = np.reshape(covariance, (len(names), len(names)))
+        total = of_fit + np.diag(_between_flights(report, axis, names))
         drawn.append(rng.multivariate_normal(value, total, method="eigh"))
     return replace(model, **{model.best: replace(terms, coefficients=tuple(drawn))})
 
@@ -229,10 +242,12 @@ def _between_flights(report: Mapping[str, Any], axis: str, names: Sequence[str])
     if "quadratic" in names or "hub" in names:  # another drag than that which was fitted flight by flight
         return variances
     rows = [row for flight in report.get("flights", []) for row in flight.get("coefficients", [])]
+    by_term = grouped(((row["axis"], row["term"]), row) for row in rows)
     for i, name in enumerate(names):
-        of_term = [(row["value"], row["error"]) for row in rows if (row["axis"], row["term"]) == (axis, name)]
+        of_term = by_term.get((axis, name), [])
         if len(of_term) > 1:
-            values, errors = np.transpose(of_term)
+            values = np.array([row["value"] for row in of_term])
+            errors = np.array([row["error"] for row in of_term])
             variances[i] = max(np.var(values, ddof=1) - np.mean(errors**2), 0.0)
     return variances
 
@@ -243,9 +258,11 @@ def noise_of(rows: FlightRows, predictor: Predictor, vehicle: Vehicle, torque: T
     step = validation.one_step(predictor, rows)
     mean_rotors = between_samples(samples, step.rotors)
     mean_velocity = (samples.velocity[:-1] + samples.velocity[1:]) / 2
-    moved = _force_of_motion(rows, vehicle.gravity) - predictor.beyond(mean_velocity, rows.rate[:-1], mean_rotors)
-    moved[:, 2] -= step.scale[:-1] * mean_rotors.sum(axis=1)
-    force = vehicle.mass * min(_density(step.error(tracked=True), rows), _density(moved, rows))
+    of_air = predictor.beyond(mean_velocity, rows.rate[:-1], mean_rotors)
+    by_motion = _force_of_motion(rows, vehicle.gravity) - of_air
+    by_motion[:, 2] -= step.scale[:-1] * mean_rotors.sum(axis=1)
+    by_accelerometer = step.error(tracked=True)
+    force = vehicle.mass * min(_density(by_accelerometer, rows), _density(by_motion, rows))
     if step.rotors.shape[1] != vehicle.n_rotors or predictor.curve.signal == "thrust_acceleration":
         return Noise(force, 0.0, False)
     rate = (rows.rate[:-1] + rows.rate[1:]) / 2

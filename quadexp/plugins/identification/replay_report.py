@@ -21,8 +21,9 @@ from quadexp.parts.schema import Config
 from quadexp.physics.state import norms, root_mean_square
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.drawing.style import Figure, shaded, styled
+from quadexp.plugins.identification.predictors import Predictor
 from quadexp.plugins.identification.replay_log import LoggedPath, Noise
-from quadexp.plugins.identification.validation import POINT, Predictor
+from quadexp.plugins.identification.validation import POINT
 from quadexp.plugins.logs.samples import RATES
 from quadexp.report.table import Table
 
@@ -47,16 +48,20 @@ def comparison(path: LoggedPath, flight: Flight, vehicle: Vehicle) -> list[Row]:
     def replayed(values: np.ndarray) -> np.ndarray:
         return at_times_of(path, flight, values)[counted]
 
-    flown, sent = path.position[counted], path.rotors[counted]
-    position, rotors = replayed(flight.stack(POINT)), replayed(flight.input) / vehicle.mass
+    flown = path.position[counted]
+    sent = path.rotors[counted]
+    position = replayed(flight.stack(POINT))
+    rotors = replayed(flight.input) / vehicle.mass
     rows = []
     if path.target is not None:
         target = path.target[counted]
         rows.append(_compared(ERROR, "m", norms(flown - target), norms(position - target)))
     apart = root_mean_square(norms(position - flown))
     rows.append({"quantity": APART, "unit": "m", "log": None, "replay": apart, "difference": None})
-    thrust, replay_thrust = sent.sum(axis=1), rotors.sum(axis=1)
-    mean, replay_mean = thrust.mean(), replay_thrust.mean()
+    thrust = sent.sum(axis=1)
+    replay_thrust = rotors.sum(axis=1)
+    mean = thrust.mean()
+    replay_mean = replay_thrust.mean()
     rows.append(_compared(f"{THRUST}, mean", "m/s^2", mean, replay_mean, together=False))
     rows.append(_compared(f"{THRUST}, about its mean", "m/s^2", thrust - mean, replay_thrust - replay_mean))
     if sent.shape == rotors.shape:
@@ -94,8 +99,9 @@ def summary(members: Sequence[Sequence[Row]]) -> list[Row]:
         if row["difference"] is not None:
             row["difference"] = float(np.median([each["difference"] for each in rows]))
         if row["log"]:
-            ratios = {name: row[name] / row["log"] for name in ("replay", "low", "high")}
-            row |= {"ratio": ratios["replay"], "ratio_low": ratios["low"], "ratio_high": ratios["high"]}
+            row["ratio"] = row["replay"] / row["log"]
+            row["ratio_low"] = row["low"] / row["log"]
+            row["ratio_high"] = row["high"] / row["log"]
         table.append(row)
     return table
 
@@ -105,11 +111,19 @@ def finished(table: Sequence[Row], path: LoggedPath) -> dict[str, Any]:
     by_name = {row["quantity"]: row for row in table}
     if path.target is not None and "ratio" in by_name[ERROR]:
         row = by_name[ERROR]
-        ends = {"number": row["ratio"], "low": row["ratio_low"], "high": row["ratio_high"]}
-        return {**ends, "meaning": "position error of the replay over that of the log, RMS"}
+        return {
+            "number": row["ratio"],
+            "low": row["ratio_low"],
+            "high": row["ratio_high"],
+            "meaning": "position error of the replay over that of the log, RMS",
+        }
     row = by_name[APART]
-    ends = {"number": row["replay"], "low": row["low"], "high": row["high"]}
-    return {**ends, "meaning": "m between replay and log, RMS: the log has no reference, its own path was flown"}
+    return {
+        "number": row["replay"],
+        "low": row["low"],
+        "high": row["high"],
+        "meaning": "m between replay and log, RMS: the log has no reference, its own path was flown",
+    }
 
 
 def warnings_of(
@@ -202,7 +216,8 @@ def replay_figure(path: LoggedPath, flights: Sequence[Flight], vehicle: Vehicle,
     error, thrust, above, rate = figure.subplots(2, 2).flat
     target = path.position if path.target is None else path.target
     for flight in flights:
-        t, look = flight.t - flight.t[0], {"color": shaded("blue"), "alpha": 0.4, "lw": 0.8}
+        t = flight.t - flight.t[0]
+        look = {"color": shaded("blue"), "alpha": 0.4, "lw": 0.8}
         position = at_times_of(path, flight, flight.stack(list(POINT)))
         error.plot(path.t, norms(position - target), **look)
         thrust.plot(t, flight.input.sum(axis=1) / vehicle.mass, **look)

@@ -30,6 +30,7 @@ from quadexp.models.common_scale import with_common_scale
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.linear_drag import LinearDrag, baseline
 from quadexp.models.residual import FEATURES, VELOCITY, Residual, feature_names, feature_places, residual_function
+from quadexp.names import named
 from quadexp.parts.settings import SEEDS, key, keyed
 from quadexp.physics.expression import Expression, split, symbols
 from quadexp.physics.vehicle import Vehicle
@@ -80,9 +81,12 @@ class RotorForceModel(GaussianProcessModel, frozen=True, tag="rotor_force"):
 
     def predict(self, rows: ResidualDataset) -> dict[str, Prediction]:
         """See Model.predict: of all three axes."""
-        prior, weight = self.mean.acceleration(rows), self.weight(rows)
+        prior = self.mean.acceleration(rows)
+        weight = self.weight(rows)
         spread = self.mean.model.residual_std**2
-        predictions = {name: Prediction(prior[:, axis], None, float(spread[axis])) for name, axis in AXIS.items()}
+        predictions = {}
+        for name, axis in AXIS.items():
+            predictions[name] = Prediction(prior[:, axis], None, float(spread[axis]))
         for posterior in self.outputs:
             beyond = posterior.predict(rows.matrix(posterior.features))
             mean = prior[:, AXIS[posterior.output]] + weight * beyond.mean
@@ -106,9 +110,8 @@ class RotorForceModel(GaussianProcessModel, frozen=True, tag="rotor_force"):
             y, slope = of_process(z, of_points)
             weight, weight_slope = _window(vehicle, self.features)(z, edges)
             whole = y_mean + weight * y
-            return residual_function(
-                "rotor_force", z, all_theta, [whole, slope_mean + weight * slope + y @ weight_slope]
-            )
+            whole_slope = slope_mean + weight * slope + y @ weight_slope
+            return residual_function("rotor_force", z, all_theta, [whole, whole_slope])
 
         return Residual("rotor_force", summed(process.function), theta, source, summed(process.form(True)))
 
@@ -132,9 +135,11 @@ class RotorForceModel(GaussianProcessModel, frozen=True, tag="rotor_force"):
 
     @property
     def summary(self) -> str:
+        if not self.outputs:
+            return f"blade element alone: {self.note},"
         axes = ", ".join(posterior.output for posterior in self.outputs)
-        said = f"corrected along {axes} by velocity, rates and {len(self.features) - len(FEATURES)} rotors"
-        return f"blade element {said if axes else f'alone: {self.note}'},"
+        rotors = len(self.features) - len(FEATURES)
+        return f"blade element corrected along {axes} by velocity, rates and {rotors} rotors,"
 
     @property
     def numbers(self) -> dict[str, Any]:
@@ -150,7 +155,8 @@ class RotorForceModel(GaussianProcessModel, frozen=True, tag="rotor_force"):
 
 def _step(ops: Any, x: Any, least: Any, low: Any, high: Any, largest: Any) -> Any:
     """S: 0 up to `least`, 1 from `low` to `high`, 0 from `largest` on. ops: numpy or CasADi."""
-    rising, falling = (x - least) / (low - least), (largest - x) / (largest - high)
+    rising = (x - least) / (low - least)
+    falling = (largest - x) / (largest - high)
     inside = ops.fmax(0, ops.fmin(1, ops.fmin(rising, falling)))
     return inside**2 * (3 - 2 * inside)
 
@@ -169,7 +175,8 @@ def _window(vehicle: Vehicle, features: Sequence[str]) -> ca.Function:
 def edges_of(rows: ResidualDataset, features: Sequence[str]) -> np.ndarray:
     """See RotorForceModel.edges."""
     values = rows.matrix(features)
-    least, largest = values.min(axis=0), values.max(axis=0)
+    least = values.min(axis=0)
+    largest = values.max(axis=0)
     edge = LEAST_EDGE * (largest - least) + 1e-12
     low = np.maximum(np.quantile(values, BULK, axis=0), least + edge)
     high = np.minimum(np.quantile(values, 1 - BULK, axis=0), largest - edge)
@@ -186,19 +193,24 @@ def without_speeds(rows: ResidualDataset) -> str:
 
 
 def fit_rotor_force(
-    rows: ResidualDataset, settings: RotorForce, *, start: RotorForceModel | None = None, intervals: bool = True,
-    callback: Callback = quiet,
-) -> RotorForceModel:  # fmt: skip
+    rows: ResidualDataset, settings: RotorForce, *, start: RotorForceModel | None, intervals: bool, callback: Callback
+) -> RotorForceModel:
     """Fit mean and processes. start: a fit to part of the rows, whose axes are corrected again.
 
     Raises DataError where the rows do not determine the mean's coefficients.
     """
-    drag, scaled = baseline(rows, intervals=intervals), with_common_scale(rows).dataset
+    drag = baseline(rows, intervals=intervals)
+    scaled = with_common_scale(rows).dataset
     rotors = sorted((name for name in rows.columns if name.startswith("u_")), key=lambda name: int(name[2:]))
     features = (*FEATURES, *rotors)
-    mean, note, outputs = fit_mean(scaled, settings.rotor_radius), without_speeds(rows), tuple[OutputPosterior, ...]()
+    mean = fit_mean(scaled, settings.rotor_radius)
+    note = without_speeds(rows)
+    outputs = tuple[OutputPosterior, ...]()
     if not note:
-        axes = [posterior.output for posterior in start.outputs] if start else _worth(scaled, features, settings)
+        if start is not None:
+            axes = [posterior.output for posterior in start.outputs]
+        else:
+            axes = _worth(scaled, features, settings)
         if axes:
             outputs = _processes(_beyond(scaled, mean), features, axes, settings, callback)
         else:
@@ -216,8 +228,11 @@ def fit_mean(rows: ResidualDataset, radius: float | None) -> TermMean:
     mass = (rows.metadata.get("vehicle") or {}).get("mass")
     if not mass:
         raise DataError("model=rotor_force: the data set does not contain the vehicle's mass; collect it again")
-    velocity, rotors, target = rows.matrix(VELOCITY), rows.rotor_thrusts / mass, rows.matrix(list(AXIS))
-    inflow = fit_inflow(velocity, rotors, target[:, 2], 2 * AIR_DENSITY * np.pi * radius**2 / mass)
+    velocity = rows.matrix(VELOCITY)
+    rotors = rows.rotor_thrusts / mass
+    target = rows.matrix(list(AXIS))
+    momentum = 2 * AIR_DENSITY * np.pi * radius**2 / mass  # 1/m
+    inflow = fit_inflow(velocity, rotors, target[:, 2], momentum)
     flight = rows.columns["flight"]
     model = fit_terms(
         "blade_element", SELF_CONSISTENT, velocity, rotors, target, flight, flight, what="model=rotor_force",
@@ -229,8 +244,8 @@ def fit_mean(rows: ResidualDataset, radius: float | None) -> TermMean:
 def _beyond(rows: ResidualDataset, mean: TermMean) -> ResidualDataset:
     """The rows with the mean subtracted, whose thrust has one scale already."""
     unexplained = rows.matrix(list(AXIS)) - mean.acceleration(rows)
-    columns = dict(rows.columns) | dict(zip(AXIS, unexplained.T, strict=True))
-    return ResidualDataset(columns, dict(rows.metadata) | {"recorded": False})
+    columns = {**rows.columns, **named(AXIS, unexplained.T)}
+    return ResidualDataset(columns, {**rows.metadata, "recorded": False})
 
 
 def _processes(
@@ -251,7 +266,8 @@ def _worth(rows: ResidualDataset, features: tuple[str, ...], settings: RotorForc
         return list(AXIS)
     gained = np.zeros(3)  # squares of errors of the mean, less those with the processes
     for fold in range(FOLDS):
-        kept, tested = rows.rows(number % FOLDS != fold), rows.rows(number % FOLDS == fold)
+        kept = rows.rows(number % FOLDS != fold)
+        tested = rows.rows(number % FOLDS == fold)
         mean = fit_mean(kept, settings.rotor_radius)
         outputs = _processes(_beyond(kept, mean), features, list(AXIS), settings, quiet)
         trial = RotorForceModel(outputs, mean, baseline(kept, intervals=False), features, edges_of(kept, features))

@@ -38,45 +38,18 @@ from quadexp.models.residual import VELOCITY
 from quadexp.physics.state import N_STATE, STATE_COLUMNS, in_motion, input_columns, root_mean_square
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification.ages import integral_of
+from quadexp.plugins.identification.held_commands import ROUNDING, HeldCommands, Timing
 from quadexp.plugins.logs.samples import rotor_columns
 
-NO_LAG = 1e-12  # s, in place of 0: what is left after a step of it is 0
-ROUNDING = 1e-9  # s
 TARGETS = ("a_z", "tau_x", "tau_y")
 INDISTINCT = 0.005  # share of the variance, beside known noise, that tells nothing
 WORTH = 0.05  # mean decrease of log rms from which a lag or a delay is taken to be real
 MEASURED_APART = 0.01  # of the hover thrust, rms, from which measured thrusts are others than the commands
-LARGEST_LAG, LARGEST_DELAY = 0.3, 0.12  # s
+LARGEST_LAG = 0.3  # s
+LARGEST_DELAY = 0.12  # s
 FIRST_STEP = 0.006  # s, of a descent
 SETTLING = 0.3  # s at the beginning of a flight, when the thrusts before are not known
 LONGEST = 40.0  # s of flights that the search uses; more determine it no better
-
-
-@dataclass(frozen=True)
-class Timing:
-    """How the logged streams belong together.
-
-    lag_up, lag_down: time constants of the rotors (s). lag_of: what lags, "thrust" or "rotor_speed". delay: between a
-    command and its effect on the rotors (s). state_delay: by which the logged state is behind the rotors (s).
-    measured: whether rotor speeds are used.
-    """
-
-    lag_up: float = 0.0
-    lag_down: float = 0.0
-    lag_of: str = "thrust"
-    delay: float = 0.0
-    state_delay: float = 0.0
-    measured: bool = False
-
-    @property
-    def is_ideal(self) -> bool:
-        """Whether commands are thrusts, at once."""
-        return not (self.lag_up or self.lag_down or self.delay or self.state_delay or self.measured)
-
-    @property
-    def lag(self) -> float:
-        """Mean of both time constants (s), for a model that has one."""
-        return (self.lag_up + self.lag_down) / 2
 
 
 def measured_thrust(flight: Flight, vehicle: Vehicle) -> np.ndarray | None:
@@ -90,59 +63,9 @@ def measured_thrust(flight: Flight, vehicle: Vehicle) -> np.ndarray | None:
     speed = flight.stack(columns).astype(float)
     if len(speed) > 1 and not np.isfinite(speed[0]).all():
         speed[0] = speed[1]
-    return vehicle.thrust_coefficient * speed**2 if np.isfinite(speed).all() else None
-
-
-class HeldCommands:
-    """Commands u (k, n) (N), each held from its time t (k,) (s) to the next, as the thrust that follows them.
-
-    timing: its lag and delay. first: thrust (n,) (N) before the first command acts.
-    """
-
-    def __init__(self, t: np.ndarray, u: np.ndarray, timing: Timing, first: np.ndarray) -> None:
-        self._begin, self._first = t + timing.delay, first
-        self._squared = timing.lag_of == "rotor_speed"
-        self._to = np.sqrt(np.maximum(u, 0)) if self._squared else u
-        up, down = max(timing.lag_up, NO_LAG), max(timing.lag_down, NO_LAG)
-        steps = np.diff(t)
-        kept_up, kept_down = np.exp(-steps / up), np.exp(-steps / down)
-        beside = np.empty_like(u)  # y - c at the instant when each command begins to act
-        y = np.sqrt(np.maximum(first, 0)) if self._squared else first
-        for k in range(len(u)):
-            beside[k] = y - self._to[k]
-            if k < len(steps):
-                y = self._to[k] + beside[k] * np.where(beside[k] < 0, kept_up[k], kept_down[k])
-        self._beside, self._lag = beside, np.where(beside < 0, up, down)
-        area = np.zeros_like(u)  # integral of the thrust from the first command to each
-        area[1:] = np.cumsum(self._piece(slice(0, -1), steps), axis=0)
-        self._area = area
-
-    def value(self, t: np.ndarray) -> np.ndarray:
-        """Thrusts (j, n) at times (j,); at the instant of a change, those just before it."""
-        k = self._acting(t, -ROUNDING)
-        elapsed = np.maximum(t - self._begin[k], 0.0)[:, None]
-        y = self._to[k] + self._beside[k] * np.exp(-elapsed / self._lag[k])
-        return np.where((t <= self._begin[0])[:, None], self._first, y**2 if self._squared else y)
-
-    def integral(self, t: np.ndarray) -> np.ndarray:
-        """Integral (j, n) (N s) of the thrusts from the first command's instant to times (j,)."""
-        k = self._acting(t, ROUNDING)
-        elapsed = t - self._begin[k]
-        before = (t < self._begin[0])[:, None]
-        return np.where(before, self._first * elapsed[:, None], self._area[k] + self._piece(k, elapsed))
-
-    def _acting(self, t: np.ndarray, nudge: float) -> np.ndarray:
-        """Index (j,) of the command that acts at times (j,)."""
-        return (np.searchsorted(self._begin, t + nudge, side="right") - 1).clip(0)
-
-    def _piece(self, k: Any, elapsed: np.ndarray) -> np.ndarray:
-        """Integral of the thrust over a time (s) from where command k begins to act."""
-        s, to, beside, lag = elapsed[:, None], self._to[k], self._beside[k], self._lag[k]
-        once = -lag * np.expm1(-np.maximum(s, 0) / lag)
-        if not self._squared:
-            return to * s + beside * once
-        twice = -lag / 2 * np.expm1(-2 * np.maximum(s, 0) / lag)
-        return to**2 * s + 2 * to * beside * once + beside**2 * twice
+    if not np.isfinite(speed).all():
+        return None
+    return vehicle.thrust_coefficient * speed**2
 
 
 def held_commands(flight: Flight, vehicle: Vehicle, timing: Timing) -> HeldCommands:
@@ -153,9 +76,10 @@ def held_commands(flight: Flight, vehicle: Vehicle, timing: Timing) -> HeldComma
     if not flight.metadata.get("recorded", False):
         before = np.full(vehicle.n_rotors, vehicle.hover_thrust)
         columns = [f"ref_{name}" for name in (*STATE_COLUMNS, *input_columns(vehicle.n_rotors))]
-        if all(name in flight.columns for name in columns):
+        if set(columns) <= set(flight.columns):
             state, thrust = np.split(flight.stack(columns)[0].astype(float), [N_STATE])
-            before = np.clip(thrust, vehicle.thrust_min, vehicle.thrust_max) if in_motion(state) else before
+            if in_motion(state):
+                before = np.clip(thrust, vehicle.thrust_min, vehicle.thrust_max)
     return HeldCommands(np.asarray(flight.t, float), command, timing, before)
 
 
@@ -232,8 +156,10 @@ def fit_timing(
     else:
         timing = _search(score)
         if known is not None:
-            residual, least = (float(np.mean(np.log(score.rms(candidate)))) for candidate in (known, timing))
-            timing = known if residual < least + WORTH else timing
+            residual = float(np.mean(np.log(score.rms(known))))
+            least = float(np.mean(np.log(score.rms(timing))))
+            if residual < least + WORTH:
+                timing = known
     return TimingFit(timing, score.rms(Timing()), score.rms(timing))
 
 
@@ -259,7 +185,8 @@ class _Score:
             transition = consecutive(np.asarray(flight.t, float), flight.columns.get("segment"))
             settled = _settled(flight)[transition]
             if settled.any():
-                parts.append((flight, {name: column[settled] for name, column in table.items()}, transition[settled]))
+                of_flight = {name: column[settled] for name, column in table.items()}
+                parts.append((flight, of_flight, transition[settled]))
                 seconds += float(flight.t[-1] - flight.t[0])
         if not parts:
             said = f"no flight is longer than {SETTLING:g} s, too short to find how late the thrusts are"
@@ -275,7 +202,9 @@ class _Score:
         def rows(names: Sequence[str]) -> np.ndarray:
             return np.column_stack([np.concatenate([table[name] for _, table, _ in parts]) for name in names])
 
-        self._u, self._target, v = rows(input_columns(vehicle.n_rotors)), rows(TARGETS), rows(VELOCITY)
+        self._u = rows(input_columns(vehicle.n_rotors))
+        self._target = rows(TARGETS)
+        v = rows(VELOCITY)
         self._terms = np.column_stack([np.ones(len(v)), v, v * np.abs(v)])
 
     def rms(self, timing: Timing) -> tuple[float, float, float]:
@@ -286,9 +215,9 @@ class _Score:
         thrust = np.concatenate(means)
         target = self._target + (self._u - thrust) @ self._effect.T
         remaining = []
-        for axis, effect in enumerate(self._effect):
+        for effect, wanted in zip(self._effect, target.T, strict=True):
             design = np.column_stack([self._terms, thrust @ effect, thrust**2 @ effect])
-            remaining.append(root_mean_square(target[:, axis] - _explained(design, target[:, axis])))
+            remaining.append(root_mean_square(wanted - _explained(design, wanted)))
         return remaining[0], remaining[1], remaining[2]
 
     def __call__(self, timing: Timing) -> float:
@@ -311,7 +240,8 @@ def _by_rotor_speed(measured: Sequence[tuple[Flight, np.ndarray]], vehicle: Vehi
         """rms (N) of what is measured beside the commands; scaled: by the factors that fit, see `_scaled`."""
         errors = []
         for flight, thrust in measured:
-            t, rest = np.asarray(flight.t, float), _settled(flight)
+            t = np.asarray(flight.t, float)
+            rest = _settled(flight)
             model = held_commands(flight, vehicle, timing).value(t)[rest]
             if scaled:
                 model = _scaled(model, thrust[rest], t[rest])
@@ -323,14 +253,19 @@ def _by_rotor_speed(measured: Sequence[tuple[Flight, np.ndarray]], vehicle: Vehi
         floor = 1e-4 * vehicle.hover_thrust  # below it no difference counts
         timing = replace(_search(lambda at: float(np.log(beside(at) + floor))), measured=True)
     late, least = _least(lambda state_delay: score(replace(timing, state_delay=state_delay)), LARGEST_DELAY)
-    return replace(timing, state_delay=late) if least < score(timing) - WORTH else timing
+    if least < score(timing) - WORTH:
+        return replace(timing, state_delay=late)
+    return timing
 
 
 def _scaled(model: np.ndarray, measured: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Thrusts (k, n) times the factors of each rotor that fit the measured ones best: a constant, a share of the
     collective thrust, whose current a battery's voltage follows, and a drift over the time t, (k,)."""
     factors = np.column_stack([np.ones(len(t)), model.mean(axis=1), t - t.mean()])
-    return np.column_stack([_explained(u[:, None] * factors, y) for u, y in zip(model.T, measured.T, strict=True)])
+    scaled = []
+    for u, y in zip(model.T, measured.T, strict=True):
+        scaled.append(_explained(u[:, None] * factors, y))
+    return np.column_stack(scaled)
 
 
 def _search(score: Callable[[Timing], float]) -> Timing:
@@ -383,4 +318,6 @@ def _least(score: Callable[[float], float], largest: float) -> tuple[float, floa
     k = int(np.argmin(scores))
     bounds = (grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)])
     best = minimize_scalar(score, bounds=bounds, method="bounded", options={"xatol": 2e-5})
-    return (float(best.x), float(best.fun)) if best.fun < scores[k] else (grid[k], scores[k])
+    if best.fun < scores[k]:
+        return float(best.x), float(best.fun)
+    return grid[k], scores[k]

@@ -87,7 +87,7 @@ class ThrustCurve(Record, frozen=True):
             signal = late_signal(np.asarray(flight.t, float), segment, signal, self.delay, self.lag, held=held)
         return self.of_signal(signal, voltage)
 
-    def of_signal(self, signal: np.ndarray, voltage: np.ndarray | None = None) -> np.ndarray:
+    def of_signal(self, signal: np.ndarray, voltage: np.ndarray | None) -> np.ndarray:
         """The same from the signal, (k, n), and the voltage, (k,) (V)."""
         scaled = scaled_signal(signal, voltage, self.reference_voltage, self.voltage_exponent)
         if self.signal == "thrust_acceleration":
@@ -127,13 +127,16 @@ class ThrustCurve(Record, frozen=True):
         terms.append(", ".join(f"c_{p:g} {c:.6g} +- {half:.2g}" for p, c, half in curve))
         if self.has_intercept:
             terms.append(f"b {self.intercept:.4g} +- {half_width(self.intercept_error, self.freedom):.2g}")
-        late = f"; commands {1e3 * self.delay:.3g} ms late" if self.delay else ""
-        late += f"; motor lag {1e3 * self.lag:.3g} ms" if self.lag else ""
-        return f"on {scaled}: {'; '.join(terms)}{late}"
+        text = f"on {scaled}: {'; '.join(terms)}"
+        if self.delay:
+            text += f"; commands {1e3 * self.delay:.3g} ms late"
+        if self.lag:
+            text += f"; motor lag {1e3 * self.lag:.3g} ms"
+        return text
 
 
 def scaled_signal(
-    signal: np.ndarray, voltage: np.ndarray | None, reference_voltage: float, exponent: float = 1.0
+    signal: np.ndarray, voltage: np.ndarray | None, reference_voltage: float, exponent: float
 ) -> np.ndarray:
     """s (V / V_ref)^g, (k, n); without a reference voltage the signal itself."""
     if not reference_voltage:
@@ -155,7 +158,12 @@ class CurveDesign(NamedTuple):
     @property
     def names(self) -> list[str]:
         """Of the columns."""
-        return [*(f"c_{power}" for power in self.powers), *["b_z"] * self.intercept, *[DRAG_Z] * self.drag]
+        names = [f"c_{power}" for power in self.powers]
+        if self.intercept:
+            names.append("b_z")
+        if self.drag:
+            names.append(DRAG_Z)
+        return names
 
     def columns(self, samples: Samples, exponent: float) -> np.ndarray:
         """(k, p)."""
@@ -205,7 +213,7 @@ class CurveSettings:
 
 
 def fit_thrust_samples(
-    samples: Samples, settings: CurveSettings | None = None, *, drag: bool = True, intervals: bool = True
+    samples: Samples, settings: CurveSettings, *, drag: bool = True, intervals: bool = True
 ) -> tuple[ThrustCurve, Regression]:
     """Fit the curve to the specific force along body z; returns it with its regression.
 
@@ -213,7 +221,6 @@ def fit_thrust_samples(
     for g. The regression's columns are those of `CurveDesign`.
     Raises DataError where a voltage is missing or the data do not determine the curve.
     """
-    settings = settings or CurveSettings()
     kind = samples.kind
     powers = tuple(settings.powers or POWERS[kind])
     design = CurveDesign(powers, kind in INTERCEPT, settings.voltage_for(samples), drag)
@@ -250,7 +257,8 @@ def fit_thrust_samples(
             regression, covariance=joint.covariance[np.ix_(others, others)], condition=joint.condition,
             freedom=joint.freedom + 1,  # without g
         )  # fmt: skip
-    value, error = regression.coefficients, regression.errors
+    value = regression.coefficients
+    error = regression.errors
     curve = ThrustCurve(
         kind,
         np.array(powers, float),

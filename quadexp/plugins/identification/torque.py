@@ -43,7 +43,8 @@ from quadexp.plugins.logs.samples import COMMANDS, Samples, gather_to_fit, read_
 from quadexp.plugins.logs.vehicle_of import own_vehicle
 from quadexp.report.table import Table
 
-LOW, HIGH = 1.0, 15.0  # Hz
+LOW = 1.0  # Hz
+HIGH = 15.0  # Hz
 EDGE = 0.4  # s, where the filters settle
 HORIZON = 0.5  # s, of a rollout of the fit
 DAMPING = (-2.0, 25.0)  # 1/s, searched
@@ -70,7 +71,9 @@ def band(values: np.ndarray, dt: float, low: float) -> np.ndarray:
     """Values (k, m) from `low` to HIGH Hz without phase, their mean removed where low is 0; without the edges."""
     high = min(HIGH, 0.4 / dt)
     passed = sosfiltfilt(butter(4, high, fs=1 / dt, output="sos"), values, axis=0)
-    slow = sosfiltfilt(butter(4, low, fs=1 / dt, output="sos"), values, axis=0) if low else values.mean(axis=0)
+    slow = values.mean(axis=0)
+    if low:
+        slow = sosfiltfilt(butter(4, low, fs=1 / dt, output="sos"), values, axis=0)
     edge = round(EDGE / dt)
     return (passed - slow)[edge:-edge]
 
@@ -192,7 +195,8 @@ def torque_data(
     curves = [first, fit_thrust_samples(samples, other, intervals=False)[0]]
 
     def build(dead_time: float, lag: float, another_curve: bool) -> list[Turning]:
-        used, data = curves[another_curve], list[Turning]()
+        used = curves[another_curve]
+        data = list[Turning]()
         mean_speed = float(speed_of(used.of_signal(samples.signal, samples.voltage)).mean())
         for number, (flight, name) in enumerate(zip(flights, names, strict=True)):
             rows = read_rows(flight, name, used.signal, dead_time, lag)
@@ -204,8 +208,13 @@ def torque_data(
         raise DataError(f"{names[0]}: no stretch without a gap takes {LEAST:g} s")
     if not variants:
         return TorqueData(first, [usual])
-    timings = [(first.delay, first.lag)] + [own_timing(build)] * (samples.kind in COMMANDS)
-    return TorqueData(first, [build(*timing, another) for timing in timings for another in (False, True)])
+    timings = [(first.delay, first.lag)]
+    if samples.kind in COMMANDS:
+        timings.append(own_timing(build))
+    every = []
+    for dead_time, lag in timings:
+        every += [build(dead_time, lag, False), build(dead_time, lag, True)]
+    return TorqueData(first, every)
 
 
 def identify_torque(paths: Sequence[Path], vehicle: Vehicle | None, conf: Folders = None) -> dict[str, Any]:
@@ -216,7 +225,8 @@ def identify_torque(paths: Sequence[Path], vehicle: Vehicle | None, conf: Folder
     vehicle is not known."""
     if not paths:
         raise UsageError("identify: no flight given")
-    flights, names = [read_recorded(path) for path in paths], [str(path) for path in paths]
+    flights = [read_recorded(path) for path in paths]
+    names = [str(path) for path in paths]
     vehicle = vehicle or own_vehicle(flights[0], conf)
     if vehicle is None:
         raise UsageError(f"{paths[0]}: its vehicle is not known here, whose arms torque needs; name it: --vehicle NAME")
@@ -275,11 +285,16 @@ def torque_errors(data: Sequence[Turning]) -> tuple[np.ndarray, np.ndarray]:
             target = band(turning.acceleration, turning.dt, 0.0)
             held.append(target)
             remaining.append(target - band(guess, turning.dt, 0.0))
-    held_rms, model_rms = (np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)) for parts in (held, remaining))
-    return held_rms, model_rms
+    return _rms_of_axes(held), _rms_of_axes(remaining)
 
 
-HELD, BLIND, REPLAY = "rates held", "blind to the motors", "replay model"
+def _rms_of_axes(parts: Sequence[np.ndarray]) -> np.ndarray:
+    return np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0))
+
+
+HELD = "rates held"
+BLIND = "blind to the motors"
+REPLAY = "replay model"
 
 
 def replayed(data: Sequence[Turning]) -> dict[str, list[float]]:

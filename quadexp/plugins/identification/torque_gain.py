@@ -70,8 +70,13 @@ class TorqueGain(Record, frozen=True):
         """JSON types, a row an axis."""
         rows = []
         for i, axis in enumerate(AXES):
-            row = {"axis": axis, "ratio": float(self.ratio[i]), "low": float(self.low[i]), "high": float(self.high[i])}
-            rows.append(row | {"used": bool(self.is_known[i])})
+            rows.append({
+                "axis": axis,
+                "ratio": float(self.ratio[i]),
+                "low": float(self.low[i]),
+                "high": float(self.high[i]),
+                "used": bool(self.is_known[i]),
+            })  # fmt: skip
         return rows
 
     def __str__(self) -> str:
@@ -99,7 +104,8 @@ def prediction_error(data: Sequence[Turning], axis: int, *, intervals: bool = Tr
         fit = regressed(data, axis, white, intervals=intervals and number == ROUNDS - 1)
         errors = [part[:, -1] - part[:, :-1] @ fit.coefficients for part in parts]
         power = sum(error[:-1] @ error[:-1] for error in errors)
-        correlation = float(np.clip(sum(error[1:] @ error[:-1] for error in errors) / power, -0.95, 0.95))
+        product = sum(error[1:] @ error[:-1] for error in errors)
+        correlation = float(np.clip(product / power, -0.95, 0.95))
     half = half_width(fit.errors[0], fit.freedom)
     return float(fit.coefficients[0]), float(half), float(np.mean(fit.residual**2))
 
@@ -108,7 +114,8 @@ def own_timing(build: Builder) -> tuple[float, float]:
     """Dead time and lag (s) that leave least of roll and pitch."""
 
     def left(timing: tuple[float, float]) -> float:
-        data, seconds = [], 0.0
+        data = []
+        seconds = 0.0
         for turning in build(*timing, False):
             if seconds < MOST_SECONDS:
                 data.append(turning)
@@ -123,9 +130,10 @@ def gains(variants: Sequence[Sequence[Turning]]) -> list[Gain]:
     every_gain = []
     for axis in range(3):
         pairs = [prediction_error(data, axis)[:2] for data in variants]
-        value = pairs[0][0]
+        value, _ = pairs[0]
         pairs += _between(variants[0], axis)
-        half = max(abs(gain - value) for gain, _ in pairs) + max(half for _, half in pairs)
+        furthest = max(abs(gain - value) for gain, _ in pairs)
+        half = furthest + max(half for _, half in pairs)
         every_gain.append(Gain(value, value - half, value + half))
     return every_gain
 

@@ -53,8 +53,13 @@ class Turning(NamedTuple):
     def part(self, first: int, last: int) -> Turning:
         """Samples first .. last - 1."""
         inner = slice(first, last - 1)
-        rows = {name: getattr(self, name)[inner] for name in ("torque", "spin", "velocity")}
-        return self._replace(rate=self.rate[first:last], attitude=self.attitude[first:last], **rows)
+        return self._replace(
+            rate=self.rate[first:last],
+            attitude=self.attitude[first:last],
+            torque=self.torque[inner],
+            spin=self.spin[inner],
+            velocity=self.velocity[inner],
+        )
 
 
 def regressed(
@@ -63,7 +68,12 @@ def regressed(
     """w' of an axis on torque, one (unless `offset` is False), flapping where there is any, and damping.
 
     parts: of each stretch these columns and, last, w'. Raises as `regress` does."""
-    names = ["torque", *["offset"] * offset, *["flapping"] * (OTHER[axis] is not None), "damping"]
+    names = ["torque"]
+    if offset:
+        names.append("offset")
+    if OTHER[axis] is not None:
+        names.append("flapping")
+    names.append("damping")
     rows = np.concatenate(parts)
     lengths = [len(part) for part in parts]
     stretch = np.repeat(np.arange(len(data)), lengths)

@@ -18,9 +18,10 @@ from quadexp.names import distinct, without
 from quadexp.parts.schema import Config
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.identification import validation
+from quadexp.plugins.identification.predictors import NOMINAL, Predictor, nominal, predictors
 from quadexp.plugins.identification.recorded import recorded_dataset
 from quadexp.plugins.identification.thrust_curve import ThrustCurve
-from quadexp.plugins.identification.validation import Predictor, Track
+from quadexp.plugins.identification.validation import Track
 from quadexp.plugins.identification.vehicle_model import FitSettings, VehicleModel, fit_vehicle_model
 from quadexp.plugins.logs.samples import FlightRows, gather_to_fit, read_rows
 from quadexp.provenance import provenance, versions
@@ -57,7 +58,11 @@ def validate(
         raise UsageError("--leave-one-out: needs at least two flights")
     folds = [[name] for name in flown] if leave_one_out else [list(flown)]
     by_predictor: dict[str, list[tuple[Predictor, FlightRows]]] = {}
-    notes = [f"warning: {edited}" for path in models if (edited := edited_note(path))]
+    notes = []
+    for path in models:
+        edited = edited_note(path)
+        if edited:
+            notes.append(f"warning: {edited}")
     for done, tested in enumerate(folds):
         progress(done, len(folds))
         others = without(flown, tested)
@@ -67,8 +72,9 @@ def validate(
         rows = [read_rows(flown[name], name, curve.signal, curve.delay, curve.lag) for name in tested]
         for predictor in used:
             by_predictor.setdefault(predictor.name, []).extend((predictor, of_flight) for of_flight in rows)
-            for name in () if leave_one_out else tested:
-                if name in {Path(seen).stem for seen in predictor.seen}:
+            seen = {Path(path).stem for path in predictor.seen}
+            for name in tested:
+                if name in seen and not leave_one_out:
                     said = f"warning: {name} is one of the flights that {predictor.name} was fitted to"
                     notes.append(f"{said}, so this is not a test")
     progress(len(folds), len(folds))
@@ -83,7 +89,8 @@ def validate(
     }  # fmt: skip
     from quadexp.plugins.identification.lines import validation_lines
 
-    lines, files = validation_lines(report), {}
+    lines = validation_lines(report)
+    files = {}
     if out is not None:
         files["report"] = str(out / REPORT_FILE)
         write_text(out / REPORT_FILE, json.dumps(report, indent=1, default=str) + "\n", force=force)
@@ -100,7 +107,8 @@ def _replayed(flown: Mapping[str, Flight], vehicle: Vehicle) -> dict[str, Any]:
     none."""
     from quadexp.plugins.identification.torque import beats_blind, replayed, torque_data
 
-    flights, names = list(flown.values()), list(flown)
+    flights = list(flown.values())
+    names = list(flown)
     try:
         samples = gather_to_fit(flights, None, names)
         rollouts = replayed(torque_data(flights, names, vehicle, samples, variants=False).turnings)
@@ -112,15 +120,16 @@ def _replayed(flown: Mapping[str, Flight], vehicle: Vehicle) -> dict[str, Any]:
 def _predictors(loaded: Sequence[tuple[str, Any]], vehicle: Vehicle) -> list[Predictor]:
     """All predictors, nominal first, with unique names where several identified vehicles are compared."""
     curve: ThrustCurve | None = None
-    all_of_them: list[Predictor] = []
+    all_of_them = []
     several = sum(isinstance(model, VehicleModel) for _, model in loaded) > 1
     for label, model in loaded:
-        for predictor in validation.predictors(model, label, vehicle, curve):
-            prefix = f"{label}: " if several and isinstance(model, VehicleModel) else ""
-            all_of_them.append(replace(predictor, name=f"{prefix}{predictor.name}"))
+        for predictor in predictors(model, label, vehicle, curve):
+            if several and isinstance(model, VehicleModel):
+                predictor = replace(predictor, name=f"{label}: {predictor.name}")
+            all_of_them.append(predictor)
         curve = curve or getattr(model, "thrust", None)
-    if all(predictor.name != validation.NOMINAL for predictor in all_of_them):
-        all_of_them.insert(0, validation.nominal(all_of_them[0].curve, all_of_them[0].seen))
+    if all(predictor.name != NOMINAL for predictor in all_of_them):
+        all_of_them.insert(0, nominal(all_of_them[0].curve, all_of_them[0].seen))
     return all_of_them
 
 
@@ -133,7 +142,8 @@ def refitted(
     """
     fresh: list[tuple[str, Any]] = []
     curve: ThrustCurve | None = None
-    names, recorded = list(flights), list(flights.values())
+    names = list(flights)
+    recorded = list(flights.values())
     for label, model in loaded:
         if isinstance(model, VehicleModel):
             known = vehicle if model.vehicle.get("fingerprint") == vehicle.fingerprint else None
@@ -166,7 +176,8 @@ def _rollouts(
 ) -> list[dict[str, Any]]:
     """Open loop with measured attitude; with all 13 states too where the log has a signal per rotor."""
     tracks = [Track(rows, predictor, vehicle.gravity) for predictor, rows in predicted]
-    records = [row for tracked in (False, True) for row in validation.rollout_errors(tracks, horizons, tracked=tracked)]
+    records = validation.rollout_errors(tracks, horizons, tracked=False)
+    records += validation.rollout_errors(tracks, horizons, tracked=True)
     curves = [predictor.curve for predictor, _ in predicted]
     if all(curve.signal != "thrust_acceleration" and curve.rotors == vehicle.n_rotors for curve in curves):
         for mode in validation.TURNING:

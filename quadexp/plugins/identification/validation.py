@@ -2,12 +2,11 @@
 
     e = f - f_model,       f_model = (0, 0, sum_i a_i) + a(v, w, a_1 .. a_n)        body FLU, m/s^2
 
-A predictor is a thrust curve and an acceleration beyond it: an identified vehicle gives one for each of its models,
-every other checkpoint one, and "nominal" is the curve alone. RMS of the vector, sqrt(mean ||e||^2), and of each axis.
-Every model is scored as fitted, and with its thrust scale tracked in flight from earlier samples
-(recorded.py). Intervals are over flights of LEAST_FLIGHTS or more, which differ from one another
-(regression.between_flights, of the RMS or the ratio of each flight, weighted as in that of all). Of fewer they are for
-these flights only: percentile bootstrap over blocks of BLOCK seconds, because neighbouring errors are correlated.
+RMS of the vector, sqrt(mean ||e||^2), and of each axis. Every model (predictors.py) is scored as fitted, and with its
+thrust scale tracked in flight from earlier samples (recorded.py). Intervals are over flights of LEAST_FLIGHTS or more,
+which differ from one another (regression.between_flights, of the RMS or the ratio of each flight, weighted as in that
+of all). Of fewer they are for these flights only: percentile bootstrap over blocks of BLOCK seconds, because
+neighbouring errors are correlated.
 
 Open loop, from many starts over horizons:
 
@@ -25,8 +24,8 @@ because the model was fitted to that accelerometer.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -35,9 +34,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from quadexp.compile.symbolic import ca
-from quadexp.errors import UsageError
-from quadexp.models.base import Model, outside_shares, rms
-from quadexp.models.checkpoint import record_of
+from quadexp.models.base import outside_shares, rms
 from quadexp.models.dataset import feature_rows
 from quadexp.models.regression import between_flights
 from quadexp.models.residual import AXES
@@ -47,10 +44,8 @@ from quadexp.physics.rigid_body import state_derivative
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import ATTITUDE, POSITION, RATE, VELOCITY, norms, root_mean_square
 from quadexp.physics.vehicle import GRAVITY, Vehicle
-from quadexp.plugins.aerodynamics.terms import TermModel
+from quadexp.plugins.identification.predictors import NOMINAL, Predictor
 from quadexp.plugins.identification.recorded import tracked_scale
-from quadexp.plugins.identification.thrust_curve import ThrustCurve
-from quadexp.plugins.identification.vehicle_model import VehicleModel
 from quadexp.plugins.logs.samples import QUATERNION, FlightRows
 
 BLOCK = 2.0  # s, of the bootstrap
@@ -58,63 +53,15 @@ DRAWS = 1000  # resamplings of the flights for an interval
 CONFIDENCE = 0.95  # of every interval, as in the tables of results
 BANDS = 4  # of speed, with as many rows in a table
 LEAST_OF_BAND = 20  # samples
-NOMINAL = "nominal"
-_KIND_NAMES = {"linear": "linear drag", "quadratic": "quadratic drag", "blade_element": "blade element"}
-LOST_SPEED, LOST_RATE = 100.0, 200.0  # m/s, rad/s: a prediction beyond them is stopped
+LOST_SPEED = 100.0  # m/s: a prediction beyond it is stopped
+LOST_RATE = 200.0  # rad/s, the same
 TURNING = ("held", "full")
-FAR, STEP = 10.0, 5.0  # medians of the distances of errors from their median; m/s^2
+FAR = 10.0  # medians of the distances of errors from their median
+STEP = 5.0  # m/s^2
 STARTS = 120  # per flight at most, spread evenly
-POINT, WORLD_VELOCITY = ("p_x", "p_y", "p_z"), ("v_x", "v_y", "v_z")
-Acceleration = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+POINT = ("p_x", "p_y", "p_z")
+WORLD_VELOCITY = ("v_x", "v_y", "v_z")
 Row = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Predictor:
-    """name: in tables. curve: thrust. beyond: (v (k, 3), w (k, 3), rotor accelerations (k, n)) -> (k, 3), m/s^2.
-
-    seen: names of the flights of the fit. ranges: of the fit, see quadexp.models.base. mass: kg, to convert rotor
-    accelerations to the thrusts in the ranges.
-    """
-
-    name: str
-    curve: ThrustCurve
-    beyond: Acceleration
-    seen: tuple[str, ...] = ()
-    ranges: dict[str, Any] = field(default_factory=dict)
-    mass: float = 1.0
-
-
-def nominal(curve: ThrustCurve, seen: tuple[str, ...] = ()) -> Predictor:
-    """The thrust curve only."""
-    return Predictor(NOMINAL, curve, lambda v, w, a: np.zeros((len(v), 3)), seen)
-
-
-def predictors(model: Model, label: str, vehicle: Vehicle, curve: ThrustCurve | None) -> list[Predictor]:
-    """The predictors of a checkpoint: the models of an identified vehicle, of every other one itself.
-
-    label: name of a model without a thrust curve of its own. curve: for it. Raises UsageError where there is none.
-    """
-    seen = tuple(model.dataset.get("names", ()))
-    if isinstance(model, VehicleModel):
-        curve, ranges = model.thrust, model.feature_range
-
-        def of(terms: TermModel) -> Acceleration:
-            return lambda v, w, a: terms.acceleration(v, a)
-
-        return [nominal(curve, seen)] + [
-            Predictor(_KIND_NAMES[kind], curve, of(terms), seen, ranges) for kind, terms in model.models.items()
-        ]
-    record = model.dataset.get("thrust")
-    thrust = record_of(record, ThrustCurve) if record else curve
-    if thrust is None:
-        raise UsageError(f"{label}: was not fitted to recorded flights; also give an identified vehicle (a folder of"
-                         " `quadexp identify`) for its thrust curve")  # fmt: skip
-
-    def beyond(v: np.ndarray, w: np.ndarray, a: np.ndarray) -> np.ndarray:
-        return model.acceleration(feature_rows(v, w, vehicle.mass * a))
-
-    return [Predictor(label, thrust, beyond, seen, model.feature_range, vehicle.mass)]
 
 
 class OneStep(NamedTuple):
@@ -127,8 +74,11 @@ class OneStep(NamedTuple):
 
     def error(self, *, tracked: bool) -> np.ndarray:
         """Measured less predicted specific force, (k, 3) (m/s^2)."""
+        thrust = self.rotors.sum(axis=1)
+        if tracked:
+            thrust = self.scale * thrust
         error = self.unexplained.copy()
-        error[:, 2] -= (self.scale if tracked else 1.0) * self.rotors.sum(axis=1)
+        error[:, 2] -= thrust
         return error
 
 
@@ -136,7 +86,8 @@ def one_step(predictor: Predictor, row: FlightRows) -> OneStep:
     samples = row.samples
     rotors = predictor.curve.of_signal(samples.signal, samples.voltage)
     unexplained = samples.force - predictor.beyond(samples.velocity, row.rate, rotors)
-    return OneStep(rotors, unexplained, tracked_scale(rotors.sum(axis=1), unexplained[:, 2], row.dt))
+    scale = tracked_scale(rotors.sum(axis=1), unexplained[:, 2], row.dt)
+    return OneStep(rotors, unexplained, scale)
 
 
 @dataclass(frozen=True)
@@ -185,12 +136,16 @@ def score_rows(results: Sequence[Residuals]) -> list[Row]:
         for tracked in (False, True):
             error = result.tracked if tracked else result.error
             row: Row = {"predictor": result.predictor, "thrust_tracked": tracked, "rows": len(error)}
-            row |= {f"rms_{axis}": rms(component) for axis, component in zip(AXES, error.T, strict=True)}
-            row |= {"rms": rms(error), **_interval("rms", result, error), "outside": result.outside}
+            for axis, component in zip(AXES, error.T, strict=True):
+                row[f"rms_{axis}"] = rms(component)
+            row["rms"] = rms(error)
+            row |= _interval("rms", result, error)
+            row["outside"] = result.outside
             if base is not None and len(base.error) == len(error):
                 alike = base.tracked if tracked else base.error
                 for name, other in (("share", base.error), ("share_alike", alike)):
-                    row |= {name: rms(error) / rms(other), **_interval(name, result, error, other)}
+                    row[name] = rms(error) / rms(other)
+                    row |= _interval(name, result, error, other)
             rows.append(row)
     return rows
 
@@ -199,17 +154,20 @@ def _interval(name: str, result: Residuals, error: np.ndarray, base: np.ndarray 
     """{name_low, name_high}: of the RMS of errors (k, 3) of a result's samples, or of its ratio to that of others."""
     squares = np.sum(error**2, axis=1)
     others = np.ones(len(error)) if base is None else np.sum(base**2, axis=1)
-    above, below = (np.maximum(np.bincount(result.flight, values), 1e-24) for values in (squares, others))
+    above = np.maximum(np.bincount(result.flight, squares), 1e-24)
+    below = np.maximum(np.bincount(result.flight, others), 1e-24)
     half = between_flights(0.5 * np.log(above / below), below, CONFIDENCE)
     if np.isnan(half):
-        above, below = (np.bincount(result.block, values) for values in (squares, others))
+        above = np.bincount(result.block, squares)
+        below = np.bincount(result.block, others)
         count = len(above)
         weights = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), DRAWS)
         ratios = np.sqrt((weights @ above) / (weights @ below))
         low, high = np.percentile(ratios, [50 * (1 - CONFIDENCE), 50 * (1 + CONFIDENCE)]).tolist()
     else:
         ratio = np.sqrt(above.sum() / below.sum())
-        low, high = float(ratio * np.exp(-half)), float(ratio * np.exp(half))
+        low = float(ratio * np.exp(-half))
+        high = float(ratio * np.exp(half))
     return {f"{name}_low": low, f"{name}_high": high}
 
 
@@ -229,25 +187,28 @@ def band_rows(results: Sequence[Residuals]) -> list[Row]:
     return rows
 
 
-def _way(t: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """Integral (k, 3) of a velocity, in place of a position that a log does not have."""
-    return cumulative_trapezoid(velocity, t, axis=0, initial=0)
-
-
 class Track:
     """A flight's measured motion at the samples, and the accelerations by a predictor's thrust curve: `rotors` at the
     accelerometer's reading of each sample, `ahead` over the motion that begins there."""
 
     def __init__(self, row: FlightRows, predictor: Predictor, gravity: float = GRAVITY) -> None:
-        flight, at, self.predictor = row.flight, slice(row.first, None), predictor
-        self.name, self.dt, self.speed = row.name, row.dt, row.speed
+        flight = row.flight
+        at = slice(row.first, None)
+        self.predictor = predictor
+        self.name = row.name
+        self.dt = row.dt
+        self.speed = row.speed
         self.velocity = flight.stack(WORLD_VELOCITY)[at]
-        placed = set(POINT) <= set(flight.columns)
-        self.position = flight.stack(POINT)[at] if placed else _way(flight.t[at], self.velocity)
+        if set(POINT) <= set(flight.columns):
+            self.position = flight.stack(POINT)[at]
+        else:  # the integral of the velocity
+            self.position = cumulative_trapezoid(self.velocity, flight.t[at], axis=0, initial=0)
         self.quaternion = flight.stack(QUATERNION)[at]
         self.rotation = Rotation.from_quat(self.quaternion, scalar_first=True)
         self.matrix = self.rotation.as_matrix()
-        self.rate, self.time, self.segment = row.rate, row.samples.time, row.samples.segment
+        self.rate = row.rate
+        self.time = row.samples.time
+        self.segment = row.samples.segment
         self.wind = np.zeros_like(self.velocity) if flight.wind is None else flight.wind[at]
         self.rotors, _, self.scale = one_step(predictor, row)
         self.ahead = row.samples.during(self.rotors)
@@ -279,13 +240,15 @@ def accelerometer_bias(
     there an estimator has set its velocity anew.
     """
     errors = []
-    for rows in np.split(np.arange(len(time)), np.flatnonzero(np.diff(segment)) + 1):
+    starts = np.flatnonzero(np.diff(segment)) + 1
+    for rows in np.split(np.arange(len(time)), starts):
         if len(rows) > 1:
             world = np.gradient(velocity[rows], time[rows], axis=0) + [0.0, 0.0, gravity]
             errors.append(force[rows] - np.einsum("kji,kj->ki", matrix[rows], world))
     error = np.concatenate(errors)
     distance = norms(error - np.median(error, axis=0))
-    return np.mean(error[distance <= max(FAR * np.median(distance), STEP)], axis=0)
+    near = distance <= max(FAR * np.median(distance), STEP)
+    return np.mean(error[near], axis=0)
 
 
 def attitude_rollout(track: Track, starts: np.ndarray, steps: int, *, tracked: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -312,14 +275,15 @@ def attitude_rollout(track: Track, starts: np.ndarray, steps: int, *, tracked: b
 
 
 def full_rollout(
-    track: Track, starts: np.ndarray, steps: int, vehicle: Vehicle, *, tracked: bool, mode: str = "full"
+    track: Track, starts: np.ndarray, steps: int, vehicle: Vehicle, *, tracked: bool, mode: str
 ) -> np.ndarray:
     """States at the end, (starts, 13): the rigid body under the rotors' thrusts and the model's acceleration.
 
     mode: one of TURNING. NaN after a prediction has exceeded LOST_SPEED or LOST_RATE.
     """
     x, u, y, h = symbols(ca.SX, x=13, u=vehicle.n_rotors, y=6, h=1)
-    step = ca.Function("step", [x, u, y, h], [rk4_step(lambda at: state_derivative(at, u, vehicle, y), x, h)])
+    after = rk4_step(lambda at: state_derivative(at, u, vehicle, y), x, h)
+    step = ca.Function("step", [x, u, y, h], [after])
     scale = vehicle.mass * track.scale_at(starts, tracked=tracked)[:, None]
     quaternion = track.rotation[starts].as_quat(scalar_first=True)
     first = np.hstack([track.position[starts], quaternion, track.velocity[starts], track.rate[starts]])
@@ -362,14 +326,19 @@ def rollout_errors(
                 parts.append(_end_errors(track, starts, steps, vehicle, tracked=tracked, mode=mode))
         if not parts:
             continue
-        row: Row = {"predictor": tracks[0].predictor.name, "mode": "attitude" if vehicle is None else mode}
-        row |= {"horizon": float(horizon), "thrust_tracked": tracked}
+        row: Row = {
+            "predictor": tracks[0].predictor.name,
+            "mode": "attitude" if vehicle is None else mode,
+            "horizon": float(horizon),
+            "thrust_tracked": tracked,
+        }
         for name in parts[0]:
             values = np.concatenate([part[name] for part in parts])
             finite = values[np.isfinite(values)]
-            row |= {"starts": len(values), "lost": float(1 - len(finite) / len(values))}
-            row[name] = root_mean_square(finite) if len(finite) else float("nan")
-            row[f"{name}_median"] = float(np.median(finite)) if len(finite) else float("nan")
+            row["starts"] = len(values)
+            row["lost"] = float(1 - len(finite) / len(values))
+            row[name] = root_mean_square(finite) if len(finite) else np.nan
+            row[f"{name}_median"] = float(np.median(finite)) if len(finite) else np.nan
         rows.append(row)
     return rows
 
@@ -384,7 +353,8 @@ def _end_errors(
         position, velocity = attitude_rollout(track, starts, steps, tracked=tracked)
     else:
         last = full_rollout(track, starts, steps, vehicle, tracked=tracked, mode=mode)
-        position, velocity = last[:, POSITION], last[:, VELOCITY]
+        position = last[:, POSITION]
+        velocity = last[:, VELOCITY]
         lost = np.isnan(last[:, :1])
         predicted = Rotation.from_quat(np.where(lost, [1.0, 0.0, 0.0, 0.0], last[:, ATTITUDE]), scalar_first=True)
         attitude = np.where(lost[:, 0], np.nan, (predicted.inv() * track.rotation[end]).magnitude())

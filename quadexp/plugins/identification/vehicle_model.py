@@ -96,7 +96,8 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
 
     def model(self, kind: str = "best") -> TermModel:
         """The model of a kind, or the best. Raises UsageError where there is none of that kind."""
-        kind = self.best if kind == "best" else kind
+        if kind == "best":
+            kind = self.best
         if kind not in self.models:
             raise UsageError(f"vehicle model: has no '{kind}'; it has {', '.join(self.models)}")
         return self.models[kind]
@@ -117,8 +118,9 @@ class VehicleModel(Model, frozen=True, tag="vehicle_model"):
 
         models = {kind: fitted.records() for kind, fitted in self.models.items()}
         lines = model_lines(self)
-        if (report_lines := report()).get("selection"):
-            lines += selection_lines(report_lines["selection"], report_lines.get("best_row", self.best))
+        stored = report()
+        if stored.get("selection"):
+            lines += selection_lines(stored["selection"], stored.get("best_row", self.best))
         lines += [f"note        {note}" for note in self.notes]
         return {"thrust": str(self.thrust), "best": self.best, "models": models}, lines
 
@@ -160,7 +162,9 @@ class LevelFit:
         rotors = self.curve.of_signal(samples.signal, samples.voltage)
         error = samples.force.copy()
         error[:, 2] -= rotors.sum(axis=1)
-        return error if self.model is None else error - self.model.acceleration(samples.velocity, rotors)
+        if self.model is None:
+            return error
+        return error - self.model.acceleration(samples.velocity, rotors)
 
 
 def fit_level(
@@ -183,7 +187,9 @@ def fit_level(
         terms = WITHOUT_RADIUS
         if momentum:
             fit = fit_inflow(samples.velocity, rotors, target[:, 2], momentum)
-            terms, inflow, z = SELF_CONSISTENT, tuple(fit.inflow), (fit.design, fit.target)
+            terms = SELF_CONSISTENT
+            inflow = tuple(fit.inflow)
+            z = (fit.design, fit.target)
     model = fit_terms(
         level, terms, samples.velocity, rotors, target, samples.segment, samples.flight,
         what=LEVEL_NAMES[level].lstrip("+ "), momentum=inflow, z=z, intervals=intervals,
@@ -215,7 +221,10 @@ def fit_vehicle_model(
     for kind in optional:
         if kind not in settings.kinds:
             continue
-        for kappa in (momentum, 0.0) if kind == "blade_element" and momentum and settings.induced else (0.0,):
+        inflows = [0.0]
+        if kind == "blade_element" and momentum and settings.induced:
+            inflows = [momentum, 0.0]
+        for kappa in inflows:
             try:
                 optional[kind] = fit_level(kind, samples, settings, kappa).model
                 break
@@ -236,8 +245,11 @@ def fit_vehicle_model(
 
 def _vehicle_record(flights: Sequence[Flight], vehicle: Vehicle | None, names: Sequence[str]) -> dict[str, Any]:
     """{name, fingerprint, mass}; raises DataError where the records of two flights name different vehicles."""
-    flown = {name: dict(flight.metadata.get("vehicle") or {}) for name, flight in zip(names, flights, strict=True)}
-    flown = {name: record for name, record in flown.items() if record.get("fingerprint")}
+    flown = {}
+    for name, flight in zip(names, flights, strict=True):
+        record = flight.metadata.get("vehicle") or {}
+        if record.get("fingerprint"):
+            flown[name] = record
     first = next(iter(flown.values()), {})
     wanted = vehicle.record if vehicle else {"name": None, "fingerprint": None} | first | {"mass": None}
     for name, record in flown.items():

@@ -103,9 +103,13 @@ def numbers_of(
 
     flights: of flight_by_flight. vehicle: None: thrusts are per kg.
     """
-    mass, gravity, newton = 1.0, GRAVITY, "N/kg"
+    mass = 1.0
+    gravity = GRAVITY
+    newton = "N/kg"
     if vehicle is not None:
-        mass, gravity, newton = vehicle.mass, vehicle.gravity, "N"
+        mass = vehicle.mass
+        gravity = vehicle.gravity
+        newton = "N"
     rows = []
     battery = []
     hover = hover_signal(curve, gravity)
@@ -187,9 +191,11 @@ def _formula(curve: ThrustCurve, mass: float, newton: str) -> str:
         terms.append(f"{mass * coefficient:.5g} {symbol}")
     if curve.intercept:
         terms.append(f"{mass * curve.intercept / curve.rotors:.4g}")
-    signal, unit = curve.signal, SIGNALS[curve.signal]
+    signal = curve.signal
+    unit = SIGNALS[curve.signal]
     if curve.signal == "motor_command":
-        signal, unit = "command", "0 to 1"
+        signal = "command"
+        unit = "0 to 1"
     if curve.reference_voltage:
         signal += f" (V/{curve.reference_voltage:g})^{curve.voltage_exponent:.3g}"
     return f"T = {' + '.join(terms)} {newton} per rotor, s = {signal} ({unit})"

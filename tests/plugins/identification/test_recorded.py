@@ -11,17 +11,10 @@ from quadexp.models.common_scale import with_common_scale
 from quadexp.models.linear_drag import fit_linear_drag
 from quadexp.plugins.gaussian_process.gaussian_process import GPConfig, fit_gp
 from quadexp.plugins.identification.lines import validation_lines
+from quadexp.plugins.identification.predictors import nominal, predictors
 from quadexp.plugins.identification.recorded import force_rows, logged_thrust, recorded_dataset, tracked_scale
 from quadexp.plugins.identification.thrust_curve import ThrustCurve
-from quadexp.plugins.identification.validation import (
-    Residuals,
-    Track,
-    nominal,
-    predictors,
-    residuals,
-    rollout_errors,
-    score_rows,
-)
+from quadexp.plugins.identification.validation import Residuals, Track, residuals, rollout_errors, score_rows
 from quadexp.plugins.identification.vehicle_model import FitSettings, fit_vehicle_model
 from quadexp.plugins.logs.samples import read_rows
 from tests.models.recorded_flights import CURVE, DRAG, OFFSET, crazyflie, recorded_flight

@@ -14,7 +14,7 @@ from quadexp.log.store import read_flight, write_flight
 from quadexp.models.checkpoint import load_model
 from quadexp.plugins.identification import replay
 from quadexp.plugins.identification import requests as of_logs
-from quadexp.plugins.identification.validation import predictors
+from quadexp.plugins.identification.predictors import predictors
 from quadexp.plugins.logs.samples import read_rows
 from tests.models.recorded_flights import crazyflie, recorded_flight
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quadexp.plugins.identification.validation import Track, full_rollout, predictors, rollout_errors
+from quadexp.plugins.identification.predictors import predictors
+from quadexp.plugins.identification.validation import Track, full_rollout, rollout_errors
 from quadexp.plugins.identification.vehicle_model import FitSettings, fit_vehicle_model
 from quadexp.plugins.logs.samples import read_rows
 from tests.log.imitated import imitated, vehicle_named

@@ -13,8 +13,9 @@ from quadexp.log.schema import Flight
 from quadexp.models.dataset import as_told, residual_dataset, transitions
 from quadexp.parts.compose import compose
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS, input_columns
+from quadexp.plugins.identification.predictors import predictors
 from quadexp.plugins.identification.rotor_thrust import HeldCommands, Timing, fit_timing, mean_thrust, measured_thrust
-from quadexp.plugins.identification.validation import Track, predictors, rollout_errors
+from quadexp.plugins.identification.validation import Track, rollout_errors
 from quadexp.plugins.identification.vehicle_model import FitSettings, fit_vehicle_model
 from quadexp.plugins.logs.samples import read_rows
 from quadexp.plugins.worlds.battery import Battery

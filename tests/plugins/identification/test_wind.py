@@ -23,7 +23,8 @@ from quadexp.models.linear_drag import fit_linear_drag
 from quadexp.parts.compose import compose
 from quadexp.physics.rotation import air_velocity
 from quadexp.physics.state import STATE_COLUMNS
-from quadexp.plugins.identification.validation import Track, predictors, rollout_errors
+from quadexp.plugins.identification.predictors import predictors
+from quadexp.plugins.identification.validation import Track, rollout_errors
 from quadexp.plugins.identification.vehicle_model import FitSettings, fit_vehicle_model
 from quadexp.plugins.logs.samples import gather, read_rows
 from quadexp.plugins.papers.lei_li.blade_element import identify_flight
