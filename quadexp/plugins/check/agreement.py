@@ -152,8 +152,9 @@ def misfits(relations: Agreements, said: Collection[str], *, corrected: bool) ->
     """What is left between two streams once all that was found is corrected, where it is beyond what sensors differ
     by. said: columns of which something is said already."""
     findings: list[Finding] = []
-    for relation in (relations[name] for name in MOVES if name in relations):
-        if relation.columns in said or relation.columns in {finding.where for finding in findings}:
+    for name in MOVES:
+        relation = relations.get(name)
+        if relation is None or relation.columns in said or relation.columns in [finding.where for finding in findings]:
             continue
         excess = np.sqrt(np.maximum(relation.residual**2 - relation.floor**2, 0.0))
         bad = relation.residual > MISFIT * relation.floor
@@ -161,7 +162,9 @@ def misfits(relations: Agreements, said: Collection[str], *, corrected: bool) ->
         if bad.any():
             axes = ", ".join(np.array(["x", "y", "z"])[bad])
             floors = float(relation.residual[bad].max()) / relation.floor
-            text = f"{relation.words}{' once what is named is corrected' if corrected else ''}"
+            text = relation.words
+            if corrected:
+                text += " once what is named is corrected"
             text += f"; along {axes} up to {floors:.1f} times what sensors differ by"
             allowed = f"{MISFIT:g} times, or {MOST_LEFT:.0%}"
             findings.append(Finding("misfit", "warning", relation.columns, text, allowed))

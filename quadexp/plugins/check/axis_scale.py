@@ -90,14 +90,14 @@ def gains(x: np.ndarray, y: np.ndarray, windows: int, halves: Side | None = None
         line = np.where(correlation > LEAST_CORRELATION, middle, 1.0)[:3]
         kept = _near(y - line * x)
     both = kept.reshape(-1, windows).all(axis=0)
-    of_halves = [side.reshape(-1, windows, 3)[:, both] for side in halves or (x, y)]
+    x_halves, y_halves = (side.reshape(-1, windows, 3)[:, both] for side in halves or (x, y))
     stretch = stretches_of(len(x), windows)[kept]
     x = x[kept]
     y = y[kept]
     low, high, correlation = _regressions(x, y)
     size = np.sqrt(np.maximum(low * high, 0.0))
-    if len(of_halves[0]) == 2:
-        size = _by_instrument(*of_halves)
+    if len(x_halves) == 2:
+        size = _by_instrument(x_halves, y_halves)
     size = np.clip(size, np.minimum(low, high), np.maximum(low, high))
     low_error, high_error, _ = jackknife(lambda rows: np.array(_regressions(x[rows], y[rows])), stretch)
     signal = np.sqrt(_with_all(np.var(x, axis=0)))
@@ -130,9 +130,13 @@ def _regressions(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     """Both gains and the correlation, (4,) each."""
     x = x - x.mean(axis=0)
     y = y - y.mean(axis=0)
-    sums = [_with_all(np.sum(product, axis=0)) for product in (x * x, y * y, x * y)]
-    least = 1e-20 * (1.0 + sums[0] + sums[1])  # an axis that does not move has the gain 1
-    xx, yy, xy = (total + least for total in sums)
+    xx = _with_all(np.sum(x * x, axis=0))
+    yy = _with_all(np.sum(y * y, axis=0))
+    xy = _with_all(np.sum(x * y, axis=0))
+    least = 1e-20 * (1.0 + xx + yy)  # an axis that does not move has the gain 1
+    xx = xx + least
+    yy = yy + least
+    xy = xy + least
     low = xy / xx
     high = yy / np.where(np.abs(xy) > least / 2, xy, least)
     return low, high, xy / np.sqrt(xx * yy)
@@ -155,8 +159,9 @@ def axis_candidates(windows: Windows, *, small: bool = False) -> list[Candidate]
     if side is not None:
         gain = gains(side.read, side.expected, count)
         streams = "".join(name for name in "pv" if name in windows.streams)
-        named = _candidates(streams, gain.apart(LEAST_UNIT), gain)
-        candidates += [candidate for candidate in named if candidate.fault == "units"]
+        for candidate in _candidates(streams, gain.apart(LEAST_UNIT), gain):
+            if candidate.fault == "units":
+                candidates.append(candidate)
     halves = force_of_halves(windows)
     if halves is not None:
         candidates += _of_accelerometer(gains(*whole(halves), count, halves), small)
@@ -181,9 +186,10 @@ def _of_accelerometer(gain: Gains, small: bool) -> list[Candidate]:
     surely = np.maximum(gain.low - 1, 1 - gain.high)  # how far from 1 the gain is at least
     deviation = np.abs(gain.high - 1)
     apart = gain.apart(LEAST["force"])
-    off = apart & ~lateral
-    off |= gain.apart(LATERAL) & lateral & (surely * gain.signal > LATERAL_EFFECT)
-    leans = apart & lateral & ~off & (deviation > LATERAL) & (deviation * gain.signal > LATERAL_SAID)
+    larger = gain.apart(LATERAL) & (surely * gain.signal > LATERAL_EFFECT)
+    off = np.where(lateral, larger, apart)
+    leans = apart & lateral & ~off
+    leans &= (deviation > LATERAL) & (deviation * gain.signal > LATERAL_SAID)
     if not (small and leans.any()):
         return _candidates("f", off, gain)
     candidates = _candidates("f", off | leans, gain)
@@ -202,8 +208,12 @@ def _candidates(streams: str, off: np.ndarray, gain: Gains) -> list[Candidate]:
         size = float(gain.size[axis])
         error = float(gain.high_error[axis] / gain.high[axis])
         unit = _unit(dimension, float(gain.low[axis]), float(gain.high[axis]), error)
-        undone[axis] = float(f"{UNITS[dimension][unit] if unit else 1 / size:.7g}")
-        about = f"in {unit}" if unit else f"standard error {100 * error:.1g} %"
+        factor = 1 / size
+        about = f"standard error {100 * error:.1g} %"
+        if unit is not None:
+            factor = UNITS[dimension][unit]
+            about = f"in {unit}"
+        undone[axis] = float(f"{factor:.7g}")
         columns = ", ".join(COLUMNS[stream].replace("*", "xyz"[axis]) for stream in streams)
         words.append(f"{columns} is {size:.4g} times its true size ({about})")
         units.append(unit)

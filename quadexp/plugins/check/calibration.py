@@ -91,7 +91,8 @@ def heading_candidates(windows: Windows) -> list[Candidate]:
         return float(np.degrees(np.arctan2(cross[rows].sum(), dot[rows].sum())))
 
     yaw = angle(slice(None))
-    error = float(jackknife(lambda rows: (angle(rows) - yaw + 180) % 360, stretches_of(len(a), len(windows.t))))
+    stretch = stretches_of(len(a), len(windows.t))
+    error = float(jackknife(lambda rows: (angle(rows) - yaw + 180) % 360, stretch))
     if abs(yaw) < max(LEAST_YAW, SURE * error):
         return []
     text = f"the heading is turned by {-yaw:.1f} deg (standard error {error:.1f}) against the motion"
@@ -121,8 +122,9 @@ def _mounting(streams: str, sides: dict[str, Side], windows: int, *, biased: boo
     """The turn of these streams, none where it is not certain. biased: with a bias, none where there is no bias."""
     scaled = []
     for name, side in sides.items():
-        x, y = (part - biased * part.mean(axis=0) for part in side)
-        scaled.append(Side(x / FLOORS[name], y / FLOORS[name]))
+        if biased:
+            side = Side(side.expected - side.expected.mean(axis=0), side.read - side.read.mean(axis=0))
+        scaled.append(Side(side.expected / FLOORS[name], side.read / FLOORS[name]))
     turn, error = turn_of(scaled, windows, alone=streams == "f")
     if turn is None:
         return []
@@ -134,23 +136,31 @@ def _mounting(streams: str, sides: dict[str, Side], windows: int, *, biased: boo
     cost, words = SENSORS[streams]
     text = f"{words} turned by {size:.1f} deg: roll, pitch, yaw {listed} deg (standard errors {errors})"
     lines: dict[str, Any] = {KEYS[name]: {"mounting": angles} for name in sorted(streams)}
-    severity = "warning" if size <= MOST_TURN else "blocking"
+    severity = "warning"
+    if size > MOST_TURN:
+        severity = "blocking"
     if not biased:
-        severity = "info" if size < TURN_WARNS else severity
-        options = " ".join(f"{OPTIONS[name]}={listed.replace(' ', '')}" for name in sorted(streams))
-        cost = COST_BLOCKS if severity == "blocking" else cost
+        if severity == "blocking":
+            cost = COST_BLOCKS
+        elif size < TURN_WARNS:
+            severity = "info"
+        value = listed.replace(" ", "")
+        options = " ".join(f"{OPTIONS[name]}={value}" for name in sorted(streams))
         return [Candidate("mounting", streams, text, lines, cost, severity, options)]
     biases = []
     for name, side in sides.items():
         gap = turn.apply(side.read) - side.expected
         offset, bias = _bias(name, gap, windows)
-        if np.abs(np.median(gap, axis=0)).max() > BIAS[name][1]:  # it is another fault that looks like one
+        _, most, _ = BIAS[name]
+        if np.abs(np.median(gap, axis=0)).max() > most:  # it is another fault that looks like one
             return []
         if offset is not None:
             lines[KEYS[name]]["offset"] = offset
             biases.append(bias)
+    if not biases:
+        return []
     text += f", with a bias of {' and '.join(biases)}"
-    return [Candidate("mounting", streams, text, lines, COST_BIASED, severity)] if biases else []
+    return [Candidate("mounting", streams, text, lines, COST_BIASED, severity)]
 
 
 def turn_of(sides: list[Side], windows: int, *, alone: bool) -> tuple[Rotation | None, np.ndarray]:
@@ -171,7 +181,9 @@ def turn_of(sides: list[Side], windows: int, *, alone: bool) -> tuple[Rotation |
             turn = shortest(turn)
     spread = np.linalg.norm(error[:2] if alone else error)
     certain = max(LEAST_TURN, CERTAIN * spread) <= np.degrees(turn.magnitude()) < LARGEST_TURN
-    return (turn if certain and len(x) >= LEAST_ROWS else None), error
+    if not certain or len(x) < LEAST_ROWS:
+        return None, error
+    return turn, error
 
 
 def kabsch(x: np.ndarray, y: np.ndarray) -> Rotation:
@@ -198,7 +210,8 @@ def better(a: Windows, b: Windows, streams: str) -> float:
     sides_b = sensor_sides(b)
     gains = []
     for name in set(streams) & sides_a.keys() & sides_b.keys():
-        of_a, of_b = (_squares(sides[name], FLOORS[name]) for sides in (sides_a, sides_b))
+        of_a = _squares(sides_a[name], FLOORS[name])
+        of_b = _squares(sides_b[name], FLOORS[name])
         kept = (of_a <= np.quantile(of_a, KEPT)) & (of_b <= np.quantile(of_b, KEPT))
         gained = np.where(kept, of_b - of_a, 0.0)
         gains.append([part.mean() for part in stretches(gained, len(a.t))])

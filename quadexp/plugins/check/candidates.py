@@ -165,10 +165,19 @@ def _axes() -> Iterator[Row]:
             text = f"the sign of {' and '.join(flipped)} is reversed"
             cost -= 1.0
         for streams, more in (("v", 0.0), ("p", 0.0), ("pv", 0.2), ("w", 0.0), ("f", 0.0), ("wf", 0.3)):
-            known = [named for (letters, axes), named in KNOWN.items() if axes == words and set(streams) <= {*letters}]
-            kind, usual = ("world", "NED") if streams[0] in "pv" else ("body", "FRD")
-            frame = usual if (matrix == axes_matrix(kind, usual, "")).all() else f"{kind} {words}"
-            name, what, claim = known[0] if known else (fault, text, cost)
+            known = (fault, text, cost)
+            for (letters, axes), named in KNOWN.items():
+                if axes == words and set(streams) <= set(letters):
+                    known = named
+            kind = "body"
+            usual = "FRD"
+            if streams[0] in "pv":
+                kind = "world"
+                usual = "NED"
+            frame = f"{kind} {words}"
+            if (matrix == axes_matrix(kind, usual, "")).all():
+                frame = usual
+            name, what, claim = known
             yield name, streams, what, {KEYS[stream]: {"frame": frame} for stream in streams}, claim + more
 
 

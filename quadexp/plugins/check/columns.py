@@ -9,7 +9,8 @@ acceleration           |f| = |a + g e_up| for one of the six directions of up
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,7 +48,8 @@ class Table:
         data = _unbroken(data[later], named)
         period = max(period_of(t), 1 / GRID)
         samples = int(min(t[-1] - t[0], MOST * period) / period)
-        self.t = 0.5 * (t[0] + t[-1] - samples * period) + np.arange(samples + 1) * period
+        start = 0.5 * (t[0] + t[-1] - samples * period)
+        self.t = start + np.arange(samples + 1) * period
         self.x = np.full((samples + 1, data.shape[1]), np.nan)
         for i, column in enumerate(data.T):
             good = np.isfinite(column)
@@ -70,7 +72,8 @@ class Table:
             x = self.x[:, columns]
             norm = norms(x)
             unit = np.quantile(np.abs(norm - 1), 0.9) < 0.02 and norm.min() > 1e-3
-            if unit and np.ptp(x, axis=0).max() > 1e-3:
+            moves = np.ptp(x, axis=0).max() > 1e-3
+            if unit and moves:
                 return columns
         return None
 
@@ -87,7 +90,7 @@ class Table:
                     matches.append((round(alike - 0.01 * (i + k), 3), p, Match(v, alike, gain)))
         if not matches:
             return None
-        _, position, velocity = max(matches, key=_first)
+        _, position, velocity = max(matches, key=itemgetter(0))
         return position, velocity
 
     def rate(self, q: np.ndarray) -> Match | None:
@@ -97,25 +100,26 @@ class Table:
 
     def acceleration(self, motion: np.ndarray | None) -> Match | None:
         """The accelerometer's columns. motion: acceleration in the log's world, (2n, 3); None: unknown."""
-        still = np.zeros((len(self.means), 3)) if motion is None else motion
+        if motion is None:
+            motion = np.zeros((len(self.means), 3))
         ups = GRAVITY * np.vstack([np.eye(3), -np.eye(3)])
-        return self._best("acceleration", [norms(still + up) for up in ups])
+        return self._best("acceleration", [norms(motion + up) for up in ups])
 
     def _best(self, quantity: str, expected: list[np.ndarray]) -> Match | None:
         """The columns named so whose size correlates best with one of the expected sizes, (2n,)."""
         matches = []
         for rank, columns in enumerate(self.named.get(quantity, [])):
             size = norms(self.means[:, columns])
-            if np.ptp(self.x[:, columns], axis=0).min() > 0:
-                for y in expected:
-                    alike = _correlation(size, y)
-                    gain = root_mean_square(size) / max(root_mean_square(y), 1e-6)
-                    matches.append((alike - 0.002 * rank, Match(columns, alike, gain)))
-        return max(matches, key=_first)[1] if matches else None
-
-
-def _first(match: tuple[Any, ...]) -> float:
-    return match[0]
+            if np.ptp(self.x[:, columns], axis=0).min() == 0:
+                continue
+            for y in expected:
+                alike = _correlation(size, y)
+                gain = root_mean_square(size) / max(root_mean_square(y), 1e-6)
+                matches.append((alike - 0.002 * rank, Match(columns, alike, gain)))
+        if not matches:
+            return None
+        _, best = max(matches, key=itemgetter(0))
+        return best
 
 
 def _unbroken(data: np.ndarray, named: Groups) -> np.ndarray:
@@ -123,9 +127,11 @@ def _unbroken(data: np.ndarray, named: Groups) -> np.ndarray:
     data = data.copy()
     for columns in named.get("attitude", []):
         good = np.isfinite(data[:, columns]).all(axis=1)
-        data[np.ix_(good, columns)] = continuous(data[np.ix_(good, columns)])
+        cells = np.ix_(good, columns)
+        data[cells] = continuous(data[cells])
     for columns in named.get("euler", []):
-        turn = 360.0 if np.nanmax(np.abs(data[:, columns]), initial=0.0) > 6.4 else 2 * np.pi
+        largest = np.nanmax(np.abs(data[:, columns]), initial=0.0)
+        turn = 360.0 if largest > 6.4 else 2 * np.pi
         for column in columns:
             good = np.isfinite(data[:, column])
             data[good, column] = np.unwrap(data[good, column], period=turn)

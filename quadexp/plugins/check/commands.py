@@ -34,7 +34,9 @@ def check(
 
     stops = {"blocking", "warning"} if strict else {"blocking"}
     checked = requests.check(flights, vehicle, conf)
-    drawn = _draw(figures, checked) if figures is not None else {}
+    drawn = {}
+    if figures is not None:
+        drawn = _draw(figures, checked)
     records: list[dict[str, Any]] = []
     lines: list[Any] = []
     rows: list[list[str]] = []
@@ -53,11 +55,14 @@ def check(
         lines.append("")
     blocked = sum(record["blocked"] for record in records)
     clean = sum(flight.severities <= {"info"} for flight in checked)
-    warned, stopping = (sum(name in flight.severities for flight in checked) for name in ("warning", "blocking"))
+    warned = sum("warning" in flight.severities for flight in checked)
+    stopping = sum("blocking" in flight.severities for flight in checked)
     count = "1 flight" if len(checked) == 1 else f"{len(checked)} flights"
     lines.append(f"{count}: {clean} clean, {warned} with warnings, {stopping} blocked")
-    by = " (--strict)" if strict else ""
-    failed = [f"{blocked} of {len(checked)} flights have findings that block{by}"] if blocked else []
+    failed = []
+    if blocked:
+        by = " (--strict)" if strict else ""
+        failed = [f"{blocked} of {len(checked)} flights have findings that block{by}"]
     table = Table(("flight", *FIELDS), rows, left=TEXTS)
     return Answer({"flights": records, "blocked": blocked, "strict": strict}, [table], lines, failed=failed)
 
@@ -69,9 +74,12 @@ def _draw(folder: Path, checked: Sequence[Any]) -> dict[str, Path]:
 
     drawn: dict[str, Path] = {}
     for flight in checked:
-        stem = Path(flight.path).stem
+        path = Path(flight.path)
+        stem = path.stem
         name = stem
-        for other in (f"{Path(flight.path).parent.name}_{stem}", *(f"{stem}_{k + 2}" for k in range(len(checked)))):
+        others = [f"{path.parent.name}_{stem}"]
+        others += [f"{stem}_{k + 2}" for k in range(len(checked))]
+        for other in others:
             if folder / f"{name}.svg" in drawn.values():
                 name = other
         drawn[flight.path] = save(consistency_figure(stem, flight.flight, flight.findings), folder / f"{name}.png")

@@ -62,7 +62,9 @@ def _late_gyro(recording: Recording) -> dict[str, float]:
     turning = turning_offset(q, w)
     if turning is None or not turning.certain or turning.correlation < LEAST_CORRELATION:
         return {}
-    return dict.fromkeys("wf", turning.seconds) if abs(turning.seconds) > ALLOWED else {}
+    if abs(turning.seconds) <= ALLOWED:
+        return {}
+    return dict.fromkeys("wf", turning.seconds)
 
 
 def _late_instead(recording: Recording, taken: list[Candidate]) -> tuple[Moves, list[Candidate]]:
@@ -87,7 +89,9 @@ def _late_instead(recording: Recording, taken: list[Candidate]) -> tuple[Moves, 
     turned = recording.repaired(taken).evidence() - PER_COST * _cost(doubtful)
     if late < turned - MARGIN:
         return {}, []
-    return moves, [] if late > turned + MARGIN else doubtful
+    if late > turned + MARGIN:
+        return moves, []
+    return moves, doubtful
 
 
 def _cost(candidates: list[Candidate]) -> float:
@@ -112,7 +116,10 @@ def _possible_moves(offsets: Offsets) -> list[Moves]:
 # ------------------------------------------------------------------------------------------------------------- findings
 def _size(offset: Offset, t: np.ndarray) -> float:
     """The largest that an offset becomes in a flight (s)."""
-    return float(np.abs(offset.at(t[[0, -1]])).max()) if offset.drift else abs(offset.seconds)
+    if not offset.drift:
+        return abs(offset.seconds)
+    ends = offset.at(t[[0, -1]])
+    return float(np.abs(ends).max())
 
 
 def _severity(seconds: float) -> str:
@@ -122,8 +129,8 @@ def _severity(seconds: float) -> str:
 def offset_findings(recording: Recording) -> list[Finding]:
     """Streams that are late or early, or drift apart, beyond what clean logs do; gyro and accelerometer that are so by
     as much are one finding."""
-    findings: dict[str, Finding] = {}
-    known: dict[str, Offset] = {}
+    findings = {}
+    known = {}
     for (name, behind), offset in recording.offsets().items():
         size = _size(offset, recording.t)
         limit = max(ALLOWED, 3 * offset.error)

@@ -29,6 +29,7 @@ from quadexp.plugins.check.units_by_size import (
     LIKELY,
     SECONDS,
     SURE,
+    VOLTS,
     Proposal,
     angle_unit,
     motion_units,
@@ -36,7 +37,6 @@ from quadexp.plugins.check.units_by_size import (
     rotor_range,
     sensor_unit,
     time_unit,
-    voltage_unit,
 )
 from quadexp.plugins.logs.column_names import groups, numbered_quaternion, unit_of
 from quadexp.plugins.logs.importers.quantities import QUANTITIES
@@ -102,8 +102,12 @@ def describe_log(path: Path) -> Description:
         good = np.isfinite(t)
         if good.sum() < LEAST_SAMPLES:
             raise DataError(f"{path}: {int(good.sum())} rows with a time: too few to propose a mapping from")
-        headless = names == [str(i) for i in range(8)] and _unit_norm(data[:, 4:])
-        table = Table(TUM if headless else names, t[good] - t[good][0], data[good], clock)
+        named = names
+        if names == [str(i) for i in range(8)]:
+            off = np.abs(norms(data[:, 4:]) - 1)
+            if np.nanquantile(off, 0.9) < 0.02:
+                named = TUM
+        table = Table(named, t[good] - t[good][0], data[good], clock)
         proposals = _Proposals(names, table)
         proposals.motion()
         proposals.attitude()
@@ -141,10 +145,6 @@ def _steadiness(values: np.ndarray, rows: int) -> float:
     return float(np.mean(steps > 0) - min(uneven, 1.0) - 1.5 * counter)
 
 
-def _unit_norm(values: np.ndarray) -> bool:
-    return bool(np.nanquantile(np.abs(norms(values) - 1), 0.9) < 0.02)
-
-
 class _Proposals:
     """The lines of the mapping of one table, by quantity, and the streams that they give. streams: letter -> (n, l, m)
     in SI, in the log's own frames."""
@@ -158,7 +158,7 @@ class _Proposals:
 
     def written(self, columns: list[int], dimension: str) -> str | None:
         """The unit that the first column's name says, if it is one of the dimension."""
-        unit = unit_of(self.names[columns[0]])[1]
+        _, unit = unit_of(self.names[columns[0]])
         return unit if unit in UNITS[dimension] else None
 
     def first_named(self, name: str) -> list[int] | None:
@@ -218,7 +218,10 @@ class _Proposals:
         velocity = self.streams.get("v")
         if velocity is None and "p" in self.streams:
             velocity = np.gradient(self.streams["p"], period_of(table.t), axis=1)
-        force = table.acceleration(None if velocity is None else changes(table.times, velocity))
+        motion = None
+        if velocity is not None:
+            motion = changes(table.times, velocity)
+        force = table.acceleration(motion)
         if force is not None:
             self._force(force)
         rate = table.rate(self.streams["q"]) if "q" in self.streams else None
@@ -292,7 +295,8 @@ class _Proposals:
         columns = self.first_named("battery_voltage")
         if columns is not None:
             middle = float(np.median(self.table.x[:, columns[0]]))
-            unit = self.written(columns, "voltage") or voltage_unit(middle)
+            likely = next(unit for unit, limit in VOLTS.items() if middle < limit)
+            unit = self.written(columns, "voltage") or likely
             if middle > 0:
                 value = {"column": self.names[columns[0]], "unit": unit}
                 self.fields["battery_voltage"] = Proposal(value, LIKELY, f"median {middle:.4g}")

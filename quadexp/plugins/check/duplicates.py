@@ -64,4 +64,6 @@ def _same(a: _Flown, b: _Flown) -> str:
     if a.streams != b.streams or fewest < LEAST or (a.config and b.config and a.config != b.config):
         return ""
     share = len(np.intersect1d(a.samples, b.samples, assume_unique=True)) / fewest
-    return f"{share:.0%} of the samples are, to the last digit, those of" if share > SHARE else ""
+    if share <= SHARE:
+        return ""
+    return f"{share:.0%} of the samples are, to the last digit, those of"

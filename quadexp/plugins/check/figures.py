@@ -55,7 +55,9 @@ def consistency_figure(name: str, flight: Flight, findings: Sequence[Finding]) -
     lines = [name]
     for finding in shown[:MOST_LINES]:
         line = f"{finding.severity}: {finding.name}: {finding.where}: {finding.measured}"
-        lines.append(line if len(line) < LONGEST_LINE else f"{line[: LONGEST_LINE - 3]}...")
+        if len(line) >= LONGEST_LINE:
+            line = f"{line[: LONGEST_LINE - 3]}..."
+        lines.append(line)
     if len(shown) > MOST_LINES:
         lines.append(f"and {len(shown) - MOST_LINES} more")
     if not shown:
@@ -78,8 +80,10 @@ def _relations(flight: Flight) -> tuple[np.ndarray, dict[str, Pair]]:
     streams = {name: x for name, x in streams_of(flight).items() if finite_rows(x).mean() > 0.5}
     good = np.isfinite(t) & finite(streams)
     windows = cut(t, streams, good, flight.columns.get("segment"))
-    known = pairs(windows) if len(windows.t) else []
-    return windows.t, {pair.name: pair for pair in known}
+    known = {}
+    if len(windows.t):
+        known = {pair.name: pair for pair in pairs(windows)}
+    return windows.t, known
 
 
 def _overlay(panel: Any, t: np.ndarray, pair: Pair, axis: int, sensor: str, computed: str) -> None:
@@ -90,11 +94,14 @@ def _overlay(panel: Any, t: np.ndarray, pair: Pair, axis: int, sensor: str, comp
         time = np.concatenate([t[:, half // 2], t[:, half + half // 2]])
     lines = pd.DataFrame({computed: pair.expected[:, axis], sensor: pair.measured[:, axis]}, time).sort_index()
     step = np.diff(lines.index)
-    lines[np.append(False, step > 3 * np.median(step))] = np.nan  # a line ends at a gap
+    after_gap = step > 3 * np.median(step)
+    lines[np.append(False, after_gap)] = np.nan  # a line ends at a gap
     panel.plot(lines[computed], color=COLOURS[1], lw=1.6, label=computed)
     if not pair.name.startswith("thrust"):
         panel.plot(lines[sensor], color=COLOURS[2], lw=0.8, label=sensor)
     low, high = np.nanquantile(lines, [1 - QUIET, QUIET])
     margin = max(0.15 * (high - low), 3 * pair.relation.floor)
-    above = HEADROOM * (high - low + 2 * margin) if axis == 0 else 0.0
+    above = 0.0
+    if axis == 0:
+        above = HEADROOM * (high - low + 2 * margin)
     panel.set_ylim(low - margin, high + margin + above)

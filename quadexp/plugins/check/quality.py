@@ -75,12 +75,12 @@ def check_flights(
     return {name: worst_first(by_name[name]) for name in flights}
 
 
-def inspect_flight(flight: Flight, vehicle: Vehicle | None = None) -> tuple[list[Finding], Masks, rotors.Motion | None]:
+def inspect_flight(flight: Flight, vehicle: Vehicle | None) -> tuple[list[Finding], Masks, rotors.Motion | None]:
     """The findings, but for those of the rotors; the bad samples, (k,) masks by the name of the finding; and what the
     flight tells about its rotors. Arguments as check_flight."""
     if len(flight) < 3:
-        text = f"{len(flight)} samples"
-        return [Finding("no_flight", "blocking", "all samples", text, f"{SHORT:g} s of flight")], {}, None
+        few = Finding("no_flight", "blocking", "all samples", f"{len(flight)} samples", f"{SHORT:g} s of flight")
+        return [few], {}, None
     findings, first, usable = _check_rows(flight)
     masks = {} if first.all() else {"duplicated_rows": ~first}
     kept = flight
@@ -117,8 +117,10 @@ def _check_rows(flight: Flight) -> tuple[list[Finding], np.ndarray, np.ndarray]:
     findings = clock + samples.check_finite(flight.columns, t) + repeated
     if "q" in streams:
         findings += samples.check_quaternion(streams["q"], t)
-    broken = any(finding.blocks for finding in clock if finding.name in CLOCK)
-    return findings, first, first & increasing(t) if broken else first
+    usable = first
+    if any(finding.blocks for finding in clock if finding.name in CLOCK):
+        usable = first & increasing(t)
+    return findings, first, usable
 
 
 def _check_motion(flight: Flight, vehicle: Vehicle | None) -> tuple[list[Finding], Masks, rotors.Motion | None]:
@@ -139,9 +141,13 @@ def _check_motion(flight: Flight, vehicle: Vehicle | None) -> tuple[list[Finding
     mended, consistent = consistency(Recording(t, streams, ~bad, segment))
     findings += consistent
     spikes, spiky = samples.check_spikes(mended.streams, t, {"f": _hardest(vehicle)})
-    masks = {f"{KEYS[name]}_outlier": mask for name, mask in spiky.items()}
-    jumped = [mask for name, mask in spiky.items() if name in "pv"]
-    sound = replace(mended, good=~np.logical_or.reduce([lost, *jumped]))
+    masks = {}
+    unsound = lost
+    for name, mask in spiky.items():
+        masks[f"{KEYS[name]}_outlier"] = mask
+        if name in "pv":
+            unsound = unsound | mask
+    sound = replace(mended, good=~unsound)
     for finding, when in stray(sound.windows()):
         findings.append(finding)
         known = masks.get(finding.name, np.zeros(len(t), bool))
@@ -200,6 +206,8 @@ def _far(streams: Mapping[str, np.ndarray], rows: int) -> np.ndarray:
         if name != "q":
             some = values[:: max(1, rows // MOST_ROWS)]
             middle = np.nanmedian(some, axis=0)
-            spread = np.nanmax(np.nanquantile(np.abs(some - middle), 0.8, axis=0))
-            far |= (np.abs(values - middle) > FAR * spread).any(axis=1)
-    return far if far.mean() < 0.5 else np.zeros(rows, bool)
+            spread = np.nanquantile(np.abs(some - middle), 0.8, axis=0)
+            far |= (np.abs(values - middle) > FAR * np.nanmax(spread)).any(axis=1)
+    if far.mean() >= 0.5:
+        far[:] = False
+    return far

@@ -41,7 +41,8 @@ class Recording:
 
     def offsets(self) -> Offsets:
         usable = self.usable
-        return find_offsets({KEYS[name]: Stream(self.t[usable], x[usable]) for name, x in self.streams.items()})
+        streams = {KEYS[name]: Stream(self.t[usable], x[usable]) for name, x in self.streams.items()}
+        return find_offsets(streams)
 
     def moved(self, late: Mapping[str, np.ndarray | float]) -> Recording:
         """With streams, by letter, that come `late` (s, a number or (k,)), at the times that they are of."""
@@ -57,8 +58,12 @@ class Recording:
     def aligned(self, offsets: Offsets) -> Recording:
         """With the streams that are late by these offsets at the times that they are of."""
         on_one_clock = aligned({KEYS[name]: Stream(self.t, x) for name, x in self.streams.items()}, offsets)
-        late = {name: self.t - on_one_clock[KEYS[name]].t for name in self.streams}
-        return self.moved({name: by for name, by in late.items() if by.any()})
+        late = {}
+        for name in self.streams:
+            by = self.t - on_one_clock[KEYS[name]].t
+            if by.any():
+                late[name] = by
+        return self.moved(late)
 
     def repaired(self, candidates: Iterable[Candidate]) -> Recording:
         """With all corrections made; attitudes that are none stay as they are."""

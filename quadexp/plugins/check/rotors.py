@@ -83,7 +83,8 @@ def motion_of(
     if len(names) != vehicle.n_rotors or (w is None and not {*STREAMS["w"]} <= flight.columns.keys()):
         return None
     t = np.asarray(flight.t, float)
-    w = flight.stack(STREAMS["w"]).astype(float) if w is None else w
+    if w is None:
+        w = flight.stack(STREAMS["w"]).astype(float)
     u = flight.stack(names).astype(float)
     good = np.isfinite(t) & finite_rows(w) & finite_rows(u)
     if bad is not None:
@@ -159,7 +160,7 @@ def judge(motions: Sequence[Motion], vehicle: Vehicle) -> Verdict | None:
     pattern = vehicle.allocation[1:]
     n = vehicle.n_rotors
     stated = tuple(range(n))
-    shares: dict[tuple[int, ...], np.ndarray] = {stated: fit.explained(pattern)}
+    shares = {stated: fit.explained(pattern)}
     for order in permutations(range(n)) if n <= 4 else _matched(fit, pattern):
         shares[order] = fit.explained(_reordered(pattern, order))
     tilt = {order: float(share[:2].mean()) for order, share in shares.items()}
@@ -225,10 +226,13 @@ def rotor_findings(verdict: Verdict | None, kind: str, vehicle: Vehicle) -> list
     if verdict is None or not verdict.sure:
         return []
     where = f"{kind}_* against w_*"
-    over = f"over {verdict.seconds:.0f} s" + (f" of {verdict.flights} flights" if verdict.flights > 1 else "")
+    over = f"over {verdict.seconds:.0f} s"
+    if verdict.flights > 1:
+        over += f" of {verdict.flights} flights"
     findings = []
     if verdict.wrong_order:
-        stated, best = (f"roll {share[0]:.0%}, pitch {share[1]:.0%}" for share in (verdict.given, verdict.best))
+        stated = f"roll {verdict.given[0]:.0%}, pitch {verdict.given[1]:.0%}"
+        best = f"roll {verdict.best[0]:.0%}, pitch {verdict.best[1]:.0%}"
         order = ", ".join(map(str, verdict.order))
         text = f"in the order of {vehicle.name} the rotors explain {stated} of the angular acceleration {over};"
         text += f" with the columns {order} as rotors 0, 1, ...: {best}"

@@ -12,6 +12,7 @@ from quadexp.physics.state import norms
 from quadexp.plugins.check.candidates import COLUMNS, KEYS
 from quadexp.plugins.logs.finding import Finding, of_rows
 from quadexp.plugins.logs.signal.windows import STREAMS, attitude_rate
+from quadexp.report.text import count as counted
 
 NORM = 0.01  # of a quaternion: what rounding to two digits leaves
 NORM_BLOCKS = 0.1
@@ -50,8 +51,7 @@ def check_finite(columns: dict[str, np.ndarray], t: np.ndarray) -> list[Finding]
     findings = []
     for names in alike.values():
         bad = ~np.isfinite(columns[names[0]])
-        count = len(runs(bad))
-        text = f"{bad.sum()} values in {count} {'run' if count == 1 else 'runs'}"
+        text = f"{bad.sum()} values in {counted(len(runs(bad)), 'run')}"
         findings.append(of_rows("not_finite", "blocking", " ".join(names), longest(bad), t, text, "none", ""))
     return findings
 
@@ -168,7 +168,7 @@ def check_spikes(
     from scipy.ndimage import median_filter
 
     findings = []
-    masks: dict[str, np.ndarray] = {}
+    masks = {}
     gaps = np.flatnonzero(np.diff(t) > GAP * period_of(t)) + 1  # over which nothing is a neighbour
     for name, values in streams.items():
         if name == "q" or len(t) < 9:
@@ -216,7 +216,11 @@ def check_dead(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Find
     if len(t) < 20 * m or not names:
         return [], dead
     x = np.concatenate([streams[name] for name in names], axis=1)
-    bends = [bend for bend in (_bend(column, t, m) for column in x.T) if bend is not None]
+    bends = []
+    for column in x.T:
+        of_column = _bend(column, t, m)
+        if of_column is not None:
+            bends.append(of_column)
     if not bends:
         return [], dead
     bend = np.max([bend for bend, _ in bends], axis=0)
@@ -231,7 +235,9 @@ def check_dead(streams: dict[str, np.ndarray], t: np.ndarray) -> tuple[list[Find
     if not lines:
         return [], dead
     start, stop = longest(dead)
-    what = "stands still" if np.ptp(x[start:stop], axis=0).max() == 0 else "is a straight line"
+    what = "is a straight line"
+    if np.ptp(x[start:stop], axis=0).max() == 0:
+        what = "stands still"
     several = f", {lines} such stretches" if lines > 1 else ""
     text = f"the state {what} for {t[stop - 1] - t[start]:.2f} s ({dead.mean():.1%} of the samples{several})"
     text += ": nothing was logged, values were filled in"
@@ -251,7 +257,8 @@ def _bend(x: np.ndarray, t: np.ndarray, m: int) -> tuple[np.ndarray, float] | No
     middle = x[m:-m]
     last = x[2 * m :]
     share = (t[m:-m] - t[: -2 * m]) / np.maximum(t[2 * m :] - t[: -2 * m], 1e-9)
-    over_time, over_samples = (np.abs(first + part * (last - first) - middle) for part in (share, 0.5))
+    over_time = np.abs(first + share * (last - first) - middle)
+    over_samples = np.abs(first + 0.5 * (last - first) - middle)
     bend[m:-m] = 2 * np.minimum(over_time, over_samples)
     bend[~np.isfinite(bend)] = np.inf
     rounding = 1e-12 * max(1e-12, np.nanmax(np.abs(x)))
@@ -260,7 +267,9 @@ def _bend(x: np.ndarray, t: np.ndarray, m: int) -> tuple[np.ndarray, float] | No
         return None
     usual = float(np.median(telling))
     coarse = 4.2 * _digit(x[np.isfinite(x)][:2000]) / usual  # four roundings
-    return (bend / usual, max(STRAIGHT, coarse)) if coarse <= ROUNDED else None
+    if coarse > ROUNDED:
+        return None
+    return bend / usual, max(STRAIGHT, coarse)
 
 
 def _digit(x: np.ndarray) -> float:
@@ -310,8 +319,12 @@ def check_clock(
     if len(gaps):
         k = gaps[np.argmax(steps[gaps])]
         span = (float(t[k]), float(t[k + 1]))
-        text = f"{len(gaps)} {'gap' if len(gaps) == 1 else 'gaps'}, the longest {steps[k]:.3g} s at {t[k]:.2f} s"
-        severity, advice = ("info", "") if marked[gaps].all() else ("warning", "import starts a new segment at a gap")
+        text = f"{counted(len(gaps), 'gap')}, the longest {steps[k]:.3g} s at {t[k]:.2f} s"
+        severity = "info"
+        advice = ""
+        if not marked[gaps].all():
+            severity = "warning"
+            advice = "import starts a new segment at a gap"
         findings.append(Finding("gap", severity, _after(k), text, allowed, advice, span))
     few = np.flatnonzero((steps > MISSING * period) & (steps <= GAP * period) & ~marked)
     if len(few):

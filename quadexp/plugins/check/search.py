@@ -151,20 +151,22 @@ class Trial:
         after = self.after[name]
         text = f"{candidate.text}: {self.before[name].words}"
         text += f"; corrected, the difference is {after.left:.3g} {after.relation.unit}"
-        advice = "correct the mapping of the import: " + ", ".join(f"`{line}`" for line in candidate.lines)
-        advice += f"; or import {candidate.options}" if candidate.options else ""
+        lines = ", ".join(f"`{line}`" for line in candidate.lines)
+        advice = f"correct the mapping of the import: {lines}"
+        if candidate.options:
+            advice += f"; or import {candidate.options}"
         severity = candidate.severity
         if rival is not None:
             other = rival.candidate
             behind = self.value - rival.value
-            likely = f"{behind:.1f} log units less likely only ({MARGIN:g} are sure)" if behind > 0 else "as likely"
+            likely = "as likely"
+            if behind > 0:
+                likely = f"{behind:.1f} log units less likely only ({MARGIN:g} are sure)"
             text += f"; but {other.where}: {other.text}, is {likely}"
             advice += f"; decide between this and {', '.join(other.lines)}, which the data do not"
             severity = max(severity, other.severity, key=SEVERITIES.index)
-        fault = candidate.fault
-        where = candidate.where
-        lines = candidate.correction
-        return Finding(fault, severity, where, text, CONVENTION, advice, correction=lines)
+        correction = candidate.correction
+        return Finding(candidate.fault, severity, candidate.where, text, CONVENTION, advice, correction=correction)
 
 
 def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
@@ -255,14 +257,20 @@ def _tried(candidate: Candidate, windows: Windows, before: Agreements) -> Trial 
 
 
 def _all_tried(candidates: Iterable[Candidate], windows: Windows, before: Agreements) -> list[Trial]:
-    trials = (_tried(candidate, windows, before) for candidate in candidates)
-    return [trial for trial in trials if trial is not None]
+    trials = []
+    for candidate in candidates:
+        trial = _tried(candidate, windows, before)
+        if trial is not None:
+            trials.append(trial)
+    return trials
 
 
 def _after(candidate: Candidate, changed: Windows, before: Agreements) -> Agreements:
     """How well the streams agree once they are changed. Of two that are changed alike, their relation says nothing."""
     after = agreements(changed, before, candidate.streams)
-    return {**after, "velocity": before["velocity"]} if candidate.streams == "pv" else after
+    if candidate.streams == "pv":
+        after["velocity"] = before["velocity"]
+    return after
 
 
 def _ranked(windows: Windows, before: Agreements, taken: list[Candidate]) -> list[Trial]:

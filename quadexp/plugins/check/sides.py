@@ -67,7 +67,10 @@ def force_side(windows: Windows) -> Side | None:
     halves = force_of_halves(windows)
     if halves is not None:
         return whole(halves)
-    return next((Side(pair.expected, pair.measured) for pair in pairs(windows, "f") if pair.name == "force (p)"), None)
+    for pair in pairs(windows, "f"):
+        if pair.name == "force (p)":
+            return Side(pair.expected, pair.measured)
+    return None
 
 
 def force_of_halves(windows: Windows) -> Side | None:
@@ -80,7 +83,8 @@ def force_of_halves(windows: Windows) -> Side | None:
     turn = windows.rotation
     middle = (turn[:, 1:] + turn[:, :-1]) / 2
     change = np.diff(streams["v"], axis=1) / np.diff(t, axis=1)[..., None] + GRAVITY * UP
-    return Side(weighted(t, np.einsum("nlij,nli->nlj", middle, change)), means(t, streams["f"]))
+    in_body = np.einsum("nlij,nli->nlj", middle, change)
+    return Side(weighted(t, in_body), means(t, streams["f"]))
 
 
 def whole(halves: Side) -> Side:

@@ -41,7 +41,8 @@ def command_columns(flight: Flight) -> dict[str, list[str]]:
 
 def signal_kind(flight: Flight) -> str:
     """Which of the flight's rotor signals is used."""
-    return next((name for name in ("rotor_speed", "u", "motor_command") if name in command_columns(flight)), "")
+    known = command_columns(flight)
+    return next((kind for kind in ("rotor_speed", "u", "motor_command") if kind in known), "")
 
 
 def limits(kind: str, vehicle: Vehicle | None) -> tuple[float, float, str] | None:
@@ -119,7 +120,9 @@ def check_rotor_unit(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
             fitting[unit] = abs(np.log(speed * factor / middle))
     severity = "warning" if low / SLOW < speed < low else "blocking"  # a slow rotor may be larger than it is taken for
     text = f"median {speed:.4g} rad/s"
-    allowed = f"{low:.3g} to {high:.3g} rad/s" + ("" if vehicle is None else f" of {vehicle.name}")
+    allowed = f"{low:.3g} to {high:.3g} rad/s"
+    if vehicle is not None:
+        allowed += f" of {vehicle.name}"
     if not fitting:
         advice = "state the unit of rotor_speed (rpm, Hz, krpm, erpm with pole_pairs) in the mapping"
         return [Finding("units", severity, "rotor_speed_*", text, allowed, advice)]
@@ -144,16 +147,19 @@ def plausible_speeds(vehicle: Vehicle | None) -> tuple[float, float]:
         return hover / HOVER_RANGE, hover * HOVER_RANGE
     places = np.array(vehicle.rotor_position, float)
     apart = np.linalg.norm(places[:, None] - places[None], axis=-1) + 1e9 * np.eye(len(places))
-    small, large = (share * float(apart.min()) for share in RADIUS)
-    lifting = float(np.sqrt(weight / (LARGEST_THRUST_COEFFICIENT * AIR_DENSITY * np.pi * large**2))) / large
-    return lifting, SPEED_OF_SOUND / small
+    nearest = float(apart.min())
+    small = RADIUS[0] * nearest
+    large = RADIUS[1] * nearest
+    lift = LARGEST_THRUST_COEFFICIENT * AIR_DENSITY * np.pi * large**2  # over the square of the tip's speed
+    return float(np.sqrt(weight / lift)) / large, SPEED_OF_SOUND / small
 
 
 def check_voltage(flight: Flight, vehicle: Vehicle | None) -> list[Finding]:
     """Whether the voltage is that of a lithium battery, and of one for a vehicle of this mass."""
     if "battery_voltage" not in flight.columns:
         return []
-    values = flight["battery_voltage"][np.isfinite(flight["battery_voltage"])]
+    values = flight["battery_voltage"]
+    values = values[np.isfinite(values)]
     middle = float(np.median(values)) if len(values) else 0.0
     least = 1 if vehicle is None or vehicle.mass < ONE_CELL_MASS else 2
     if least * CELL[0] <= middle <= MOST_CELLS * CELL[1]:

@@ -69,9 +69,14 @@ def time_unit(values: np.ndarray, written: str | None) -> Proposal:
     step = float(np.median(steps[steps > 0]))
     first = abs(float(values[0]))
     rates = {unit: 1 / (step * seconds) for unit, seconds in SECONDS.items()}  # Hz
-    of_today = (unit for unit, size in EPOCHS.items() if 0.9 * size < first < 9 * size)
-    fitting = [unit for unit in of_today if rates[unit] > 1 / SLOWEST]
-    fitting = fitting or [unit for unit, rate in rates.items() if RATES[0] <= rate <= RATES[1]]
+    fitting = []
+    for unit, size in EPOCHS.items():
+        if 0.9 * size < first < 9 * size and rates[unit] > 1 / SLOWEST:
+            fitting.append(unit)
+    low, high = RATES
+    for unit, rate in rates.items():
+        if low <= rate <= high:
+            fitting.append(unit)
     unit = fitting[0] if fitting else "s"
     why = f"increases by {step:.6g} a row: {rates[unit]:.4g} Hz"
     return Proposal({"unit": unit}, SURE if fitting else GUESS, why)
@@ -84,15 +89,16 @@ def motion_units(
     length, speed = nearest(gain, GAINS)[0]
     if GAINS[length, speed] == 1.0:
         far = np.median(np.ptp(p, axis=0))  # of two axes at least: a single one in mm is named by the search
-        fast = np.median(np.abs(v).max(axis=0))
+        fastest = np.abs(v).max(axis=0)
         if written in ("mm", "cm"):
             length = written
-        elif far > 500 and fast > 80:
+        elif far > 500 and np.median(fastest) > 80:
             length = "mm"
         speed = f"{length}/s"
     why = f"the velocity is {gain:.3g} times its derivative, correlation {correlation:.3f}"
     sureness = SURE if correlation > 0.95 else LIKELY
-    if abs(gain * UNITS["velocity"][speed] / UNITS["length"][length] - 1) >= 0.1:
+    factor = gain * UNITS["velocity"][speed] / UNITS["length"][length]
+    if abs(factor - 1) >= 0.1:
         sureness = GUESS
         why += "; that factor fits no unit: look at the time's unit too"
     return Proposal({"unit": length}, sureness, why), Proposal({"unit": speed}, sureness, why)
@@ -102,7 +108,9 @@ def angle_unit(angles: np.ndarray, written: str | None) -> tuple[Proposal, np.nd
     """Of roll, pitch and yaw (k, 3), and what one of each is in rad; a yaw in degrees may stand beside roll and pitch
     in rad."""
     largest = np.abs(angles).max(axis=0)
-    unit = written or ("deg" if largest.max() > FULL_TURN else "rad")
+    unit = "deg" if largest.max() > FULL_TURN else "rad"
+    if written is not None:
+        unit = written
     lines: dict[str, Any] = {"order": "rpy", "unit": unit}
     factor = np.full(3, UNITS["angle"][unit])
     if written is None and largest[:2].max() < UPSIDE and largest[2] > FULL_TURN:
@@ -135,9 +143,10 @@ def sensor_unit(value: float, sizes: Mapping[Any, float], dimension: str, writte
 def rate_unit_by_size(x: np.ndarray, written: str | None) -> Proposal:
     """Of a gyro (k, 3) that nothing can be compared with."""
     spread = float(np.percentile(np.abs(x - np.median(x, axis=0)), 99))
-    unit = written or ("deg/s" if spread > 15 else "rad/s")
+    unit = "deg/s" if spread > 15 else "rad/s"
     sureness = GUESS if 8 <= spread <= 60 else LIKELY
     if written is not None:
+        unit = written
         sureness = SURE
     return Proposal({"unit": unit}, sureness, f"by its name; 99 % of its values within {spread:.3g}")
 
@@ -165,8 +174,3 @@ def rotor_range(x: np.ndarray, speeds: bool, name: str, written: str | None, bet
         if largest <= limit and holds[condition]:
             return "motor_command", Proposal({"range": [low, high]}, sureness, f"{why}{words}")
     return "rotor_speed", Proposal({"unit": "rpm"}, GUESS, why)
-
-
-def voltage_unit(middle: float) -> str:
-    """Of a battery by its median."""
-    return next(unit for unit, limit in VOLTS.items() if middle < limit)

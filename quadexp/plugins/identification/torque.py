@@ -41,6 +41,7 @@ from quadexp.plugins.identification.torque_gain import TorqueGain, gains, own_ti
 from quadexp.plugins.identification.turning import AXES, LEAST, OTHER, Turning, regressed, speed_of, turnings
 from quadexp.plugins.logs.samples import COMMANDS, Samples, gather_to_fit, read_rows
 from quadexp.plugins.logs.vehicle_of import own_vehicle
+from quadexp.report.pairing import grouped
 from quadexp.report.table import Table
 
 LOW = 1.0  # Hz
@@ -299,14 +300,15 @@ REPLAY = "replay model"
 
 def replayed(data: Sequence[Turning]) -> dict[str, list[float]]:
     """Mean attitude error (rad) at HORIZONS on flights left out, of rates held, blind and the replay model."""
-    angles: dict[str, list[np.ndarray]] = {HELD: [], BLIND: [], REPLAY: []}
+    angles = []
     for fitted, tested in folds(data):
         blind = [output_error(fitted, axis, motors=False) for axis in range(3)]
         replay = [output_error(fitted, axis, motors=True) for axis in range(3)]
         for turning in tested:
-            for name, models in zip(angles, (None, blind, replay), strict=True):
-                angles[name].append(attitude_errors(turning, models))
-    return {name: np.concatenate(each, axis=1).mean(axis=1).tolist() for name, each in angles.items()}
+            angles.append((HELD, attitude_errors(turning, None)))
+            angles.append((BLIND, attitude_errors(turning, blind)))
+            angles.append((REPLAY, attitude_errors(turning, replay)))
+    return {name: np.concatenate(each, axis=1).mean(axis=1).tolist() for name, each in grouped(angles).items()}
 
 
 def beats_blind(rollouts: dict[str, list[float]]) -> bool:

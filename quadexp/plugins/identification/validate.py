@@ -25,6 +25,7 @@ from quadexp.plugins.identification.validation import Track
 from quadexp.plugins.identification.vehicle_model import FitSettings, VehicleModel, fit_vehicle_model
 from quadexp.plugins.logs.samples import FlightRows, gather_to_fit, read_rows
 from quadexp.provenance import provenance, versions
+from quadexp.report.pairing import grouped
 from quadexp.writer import check_output, write_text
 
 HORIZONS = (0.1, 0.5, 1.0)  # s: about those of a rate loop, of an MPC and of a manoeuvre
@@ -57,7 +58,7 @@ def validate(
     if leave_one_out and len(flown) < 2:
         raise UsageError("--leave-one-out: needs at least two flights")
     folds = [[name] for name in flown] if leave_one_out else [list(flown)]
-    by_predictor: dict[str, list[tuple[Predictor, FlightRows]]] = {}
+    predicted = []
     notes = []
     for path in models:
         edited = edited_note(path)
@@ -71,19 +72,21 @@ def validate(
         curve = used[0].curve
         rows = [read_rows(flown[name], name, curve.signal, curve.delay, curve.lag) for name in tested]
         for predictor in used:
-            by_predictor.setdefault(predictor.name, []).extend((predictor, of_flight) for of_flight in rows)
+            for of_flight in rows:
+                predicted.append((predictor.name, (predictor, of_flight)))
             seen = {Path(path).stem for path in predictor.seen}
             for name in tested:
                 if name in seen and not leave_one_out:
                     said = f"warning: {name} is one of the flights that {predictor.name} was fitted to"
                     notes.append(f"{said}, so this is not a test")
     progress(len(folds), len(folds))
-    scored = [validation.residuals(predicted) for predicted in by_predictor.values()]
+    by_predictor = grouped(predicted)
+    scored = [validation.residuals(of_one) for of_one in by_predictor.values()]
     report = {
         "models": [str(path) for path in models], "flights": list(flown), "leave_one_out": leave_one_out,
         "nominal": None if leave_one_out else str(used[0].curve),
         "rows": validation.score_rows(scored), "bands": validation.band_rows(scored),
-        "rollouts": [row for predicted in by_predictor.values() for row in _rollouts(predicted, horizons, vehicle)],
+        "rollouts": [row for of_one in by_predictor.values() for row in _rollouts(of_one, horizons, vehicle)],
         "torque": _replayed(flown, vehicle), "notes": distinct(notes),
         "versions": versions(), "provenance": provenance(),
     }  # fmt: skip
