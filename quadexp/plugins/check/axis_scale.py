@@ -147,7 +147,7 @@ def axis_candidates(windows: Windows, *, small: bool = False) -> list[Candidate]
     may be the attitude's doing."""
     count = len(windows.t)
     known = {pair.name: (pair.expected, pair.measured) for pair in pairs(windows)}
-    candidates: list[Candidate] = []
+    candidates = []
     if "velocity" in known:
         motion, read = known["velocity"]
         gain = gains(motion, read, count)

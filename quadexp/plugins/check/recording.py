@@ -52,7 +52,8 @@ class Recording:
             if name == "q":
                 values = continuous(values)
             seen = self.t + late[name]
-            streams[name] = np.column_stack([np.interp(seen, self.t, column) for column in values.T])
+            columns = [np.interp(seen, self.t, column) for column in values.T]
+            streams[name] = np.column_stack(columns)
         return replace(self, streams=streams)
 
     def aligned(self, offsets: Offsets) -> Recording:
@@ -70,8 +71,9 @@ class Recording:
         streams = {**self.streams}
         none = np.zeros(len(self.t), bool)
         if "q" in streams:
-            none = ~(norms(streams["q"]) > 1e-6)
-            streams["q"] = np.where(none[:, None], [1.0, 0.0, 0.0, 0.0], streams["q"])
+            q = streams["q"]
+            none = ~(norms(q) > 1e-6)
+            streams["q"] = np.where(none[:, None], [1.0, 0.0, 0.0, 0.0], q)
         windows = Windows(self.t[None], {name: x[None] for name, x in streams.items()})
         for candidate in candidates:
             windows = candidate.apply(windows)

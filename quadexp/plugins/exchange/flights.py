@@ -30,13 +30,15 @@ def write_columns(flight: Flight, path: Path, *, force: bool) -> dict[str, Path]
     import pyarrow as pa
     from pyarrow.csv import WriteOptions, write_csv
 
-    about = {"columns": {name: describe(name)._asdict() for name in flight.columns}, "record": flight.metadata}
+    described = {name: describe(name)._asdict() for name in flight.columns}
+    about = json.dumps({"columns": described, "record": flight.metadata}, indent=1, sort_keys=True)
     beside = check_output(path.with_name(f"{path.name}.json"), force=force)
-    table = pa.table([pa.array(np.asarray(x), from_pandas=True) for x in flight.columns.values()], [*flight.columns])
+    columns = {name: pa.array(np.asarray(x), from_pandas=True) for name, x in flight.columns.items()}
+    table = pa.table(columns)
     with written(path, force=force) as file:
         file.write(f"{csv_line(flight.columns)}\n".encode())
         write_csv(table, file, WriteOptions(include_header=False, quoting_style="none"))  # in blocks
-    return {"csv": path, "about": write_text(beside, json.dumps(about, indent=1, sort_keys=True) + "\n", force=force)}
+    return {"csv": path, "about": write_text(beside, f"{about}\n", force=force)}
 
 
 def write_poses(flight: Flight, path: Path, *, force: bool) -> dict[str, Path]:
@@ -45,14 +47,15 @@ def write_poses(flight: Flight, path: Path, *, force: bool) -> dict[str, Path]:
     files = {"tum": path}
     poses = {"tum": flight.stack(POSE)}
     wanted = [f"ref_{name}" for name in POSE]
-    if all(name in flight.columns for name in wanted):
+    if set(wanted) <= set(flight.columns):
         files["reference"] = check_output(path.with_name(f"{path.stem}_reference{path.suffix}"), force=force)
         poses["reference"] = flight.stack(wanted)
     for name, pose in poses.items():
-        lines = []
+        lines = ["# t x y z qx qy qz qw"]
         for row in np.column_stack([flight.t, pose]).tolist():
             lines.append(" ".join(map(repr, row)))
-        write_text(files[name], "\n".join(["# t x y z qx qy qz qw", *lines]) + "\n", force=force)
+        text = "\n".join(lines)
+        write_text(files[name], f"{text}\n", force=force)
     return files
 
 
@@ -68,7 +71,8 @@ def write_recording(flight: Flight, path: Path, *, force: bool) -> dict[str, Pat
         raise missing_package("--to rerun", "rerun-sdk", "viz") from None
     try:
         with written(path, force=force) as file, tempfile.TemporaryDirectory() as folder:  # rerun takes a path only
-            _record(flight, stored := Path(folder) / "flight.rrd", rerun)
+            stored = Path(folder) / "flight.rrd"
+            _record(flight, stored, rerun)
             with open(stored, "rb") as source:
                 shutil.copyfileobj(source, file)
     except RuntimeError as error:  # its writer thread died: what is said above by rerun itself
@@ -118,7 +122,9 @@ def export_flight(
     suffix, write = FORMATS[form]
     source = Path(flight)
     loaded = read_flight(flight)
-    target = Path(out) if out is not None else source.with_suffix(suffix)
+    target = source.with_suffix(suffix)
+    if out is not None:
+        target = Path(out)
     if not len(loaded):
         raise UsageError(f"{source}: holds no samples ({loaded.outcome}), there is nothing to export")
     check_output(target, force=force)

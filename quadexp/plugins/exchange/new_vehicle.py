@@ -37,9 +37,9 @@ def new_from(
 
     check_name(part, name, TEMPLATES[part], to)
     file, _, section = source.partition(":")
-    keys = vehicle_keys(Path(file), section)
-    build_vehicle(made(Vehicle, {"name": name} | keys))
-    stated = {"_target_": f"{Vehicle.__module__}.{Vehicle.__name__}", "name": name} | keys
+    keys = {"name": name} | vehicle_keys(Path(file), section)
+    build_vehicle(made(Vehicle, keys))
+    stated = {"_target_": f"{Vehicle.__module__}.{Vehicle.__name__}", **keys}
     text = f"# From {source}. SI units; rate_max, the largest body rate of a reference, is not from there.\n"
     path = write_text(to / "vehicle" / f"{name}.yaml", text + OmegaConf.to_yaml(OmegaConf.create(stated)), force=False)
     command = f"quadexp simulate --conf {shlex.quote(str(to))} vehicle={name} --out runs/{name}.parquet"

@@ -65,7 +65,8 @@ def thrust_figure(curve: ThrustCurve, samples: Samples) -> Figure:
     mean = scaled.mean(axis=1)
     grid = np.linspace(mean.min(), mean.max(), 100)
     total = curve.collective(grid)
-    residual = samples.force[:, 2] - curve.of_signal(samples.signal, samples.voltage).sum(axis=1)
+    thrust = curve.of_signal(samples.signal, samples.voltage).sum(axis=1)
+    residual = samples.force[:, 2] - thrust
     figure = Figure(figsize=(9.0, 3.6))
     force, beyond = figure.subplots(1, 2)
     beyond.axhline(0, color="#000000", linewidth=0.8)

@@ -86,10 +86,11 @@ def fit_inflow(velocity: np.ndarray, rotor_acceleration: np.ndarray, target: np.
         return values[:, 0] - target[::every], values[:, 1:]
 
     every = -(-len(target) // SEARCH_SAMPLES)
-    theta = least_squares(
-        lambda theta: evaluate(theta, every)[0], START, jac=lambda theta: evaluate(theta, every)[1], bounds=BOUNDS,
+    fit = least_squares(
+        lambda theta: evaluate(theta, every)[0], START, lambda theta: evaluate(theta, every)[1], BOUNDS,
         x_scale="jac", xtol=1e-10, ftol=1e-12, gtol=1e-10,
-    ).x  # fmt: skip
+    )  # fmt: skip
+    theta = fit.x
     scale, loss, advance, _ = theta.tolist()
     if loss < 2 * LEAST_LOSS:
         raise DataError("blade element along z: the flights do not show that flow through the rotors costs thrust")

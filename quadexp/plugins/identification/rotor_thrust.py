@@ -298,7 +298,8 @@ def _search(score: Callable[[Timing], float]) -> Timing:
         apart += [Timing(up, down, kind), Timing(up, down, kind, behind)]
     best = [min(group, key=score) for group in ([none], alone, both, apart)]
     scores = list(map(score, best))
-    return next(timing for timing, value in zip(best, scores, strict=True) if value <= min(scores) + WORTH)
+    limit = min(scores) + WORTH
+    return next(timing for timing, value in zip(best, scores, strict=True) if value <= limit)
 
 
 def _descent(score: Callable[[np.ndarray], float], start: Sequence[float]) -> list[float]:
