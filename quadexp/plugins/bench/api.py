@@ -32,8 +32,10 @@ class Leaderboard(Frame):
 
         rows = from_columns(self.columns_as_arrays())
         protocol = read_protocol()
-        options = {"metric": protocol.metric, "baseline": protocol.baseline}
-        return {name: board_table(of_family, title=name, **options) for name, of_family in families_of(rows).items()}
+        tables = {}
+        for name, flights in families_of(rows).items():
+            tables[name] = board_table(flights, title=name, metric=protocol.metric, baseline=protocol.baseline)
+        return tables
 
     def summary(self) -> list[str]:
         return [f"leaderboard: {len(self)} flights of {self['entry'].nunique()} entries"]

@@ -44,8 +44,10 @@ RULE = (
 def write_board(path: Path, rows: Rows, record: Mapping[str, Any]) -> Path:
     """Write the rows of all entries."""
     columns = to_columns(rows)
-    columns |= {name: np.array([str(row[name]) for row in rows], dtype=object) for name in TEXTS}
-    columns |= {name: np.array([int(row[name]) for row in rows]) for name in NUMBERS}
+    for name in TEXTS:
+        columns[name] = np.array([str(row[name]) for row in rows], dtype=object)
+    for name in NUMBERS:
+        columns[name] = np.array([int(row[name]) for row in rows])
     return write_table(path, columns, {**record, "provenance": provenance()}, "leaderboard")
 
 
@@ -70,8 +72,10 @@ def joined(rows: Rows, more: Rows, where: str) -> list[Row]:
 
 def check_alike(rows: Rows, sha256: str, size: str, where: str) -> None:
     """Raise UsageError where some rows are not of this protocol and size."""
-    for name, what, asked in (("protocol_sha256", "protocol", sha256[:SHORT]), ("size", "size", size)):
-        others = sorted({str(row[name])[: SHORT if what == "protocol" else None] for row in rows} - {asked})
+    protocols = {str(row["protocol_sha256"])[:SHORT] for row in rows}
+    sizes = {str(row["size"]) for row in rows}
+    for what, asked, found in (("protocol", sha256[:SHORT], protocols), ("size", size, sizes)):
+        others = sorted(found - {asked})
         if others:
             raise UsageError(
                 f"{where}: is of {what} {', '.join(others)}, not {asked}: results of different {what}s are not ranked"
@@ -84,8 +88,9 @@ def check_cells(rows: Rows, where: str) -> None:
     for family, of_family in families_of(rows).items():
         flown = grouped((row["entry"], cell_of(row)) for row in of_family)
         first, *others = flown
-        if wrong := [entry for entry in others if {*flown[entry]} != {*flown[first]}]:
-            raise UsageError(f"{where}: {wrong[0]} and {first} have not flown the same cells of {family}")
+        for other in others:
+            if {*flown[other]} != {*flown[first]}:
+                raise UsageError(f"{where}: {other} and {first} have not flown the same cells of {family}")
 
 
 def families_of(rows: Rows) -> dict[str, list[Row]]:
@@ -130,10 +135,15 @@ def error_table(rows: Rows, *, metric: str, by: Sequence[str] = ("world",), titl
     unit = about.unit
     entries = distinct(str(row["entry"]) for row in rows)
     texts = []
-    for at, line in grouped((tuple(str(row[name]) for name in by), row) for row in rows).items():
-        flights = grouped((str(row["entry"]), row) for row in line)
-        means = (_mean(flights[entry], metric) for entry in entries)
-        texts.append([*at, *(number(factor * error) + (f" ({lost} lost)" if lost else "") for error, lost in means)])
+    lines = grouped((tuple(str(row[name]) for name in by), row) for row in rows)
+    for at, of_line in lines.items():
+        flights = grouped((str(row["entry"]), row) for row in of_line)
+        cells = []
+        for entry in entries:
+            error, lost = _mean(flights[entry], metric)
+            text = number(factor * error)
+            cells.append(f"{text} ({lost} lost)" if lost else text)
+        texts.append([*at, *cells])
     return Table([*by, *entries], texts, title or f"geometric mean error ({unit})", left=frozenset(range(len(by))))
 
 

@@ -92,15 +92,17 @@ def _settings(overrides: Sequence[str], protocol: Protocol, extra: Folders) -> s
         group, _, option = word.partition("=")
         about = provenance_of(option, extra, group) if group in ("controller", "remedies", *REMEDIES) else None
         if about is None:
-            is_own = any(
-                each.place < len(known.folders) - 1 for each in known.definitions.get(f"{group}/{option}", [])[:1]
-            )
+            definitions = known.definitions.get(f"{group}/{option}", [])
+            is_own = bool(definitions) and definitions[0].place < len(known.folders) - 1
             by_hand |= group == "remedies" or is_own
         elif BY_HAND in about:
             watched |= {*about["seeds"]}
-        elif common := {*about.get("seeds", [])} & {*protocol.seeds(last)}:
-            raise UsageError(f"{word}: was tuned on seed {min(common)}, which the protocol flies: tune it on others")
         else:
+            common = {*about.get("seeds", [])} & {*protocol.seeds(last)}
+            if common:
+                raise UsageError(
+                    f"{word}: was tuned on seed {min(common)}, which the protocol flies: tune it on others"
+                )
             flights += int(about.get("flights", 0))
     parts = [f"tuned, {flights} flights"] if flights else []
     if by_hand or watched:

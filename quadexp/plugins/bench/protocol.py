@@ -13,6 +13,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ import yaml
 from quadexp.errors import DataError, UsageError
 from quadexp.experiment.identity import digest
 from quadexp.messages import suggestion
-from quadexp.names import SPELLINGS, sha256_of
+from quadexp.names import SPELLINGS, distinct, sha256_of
 from quadexp.parts.compose import Composer, session
 from quadexp.parts.schema import WORLD, Config
 from quadexp.parts.settings import plain
@@ -53,19 +54,22 @@ class Family:
         """What its words mean: the value of every key of tasks, worlds and data that is not the key's default, so that
         a key that comes later changes nothing."""
         first = next(iter(self.tasks.values()))
-        asked = {
-            **{f"task {name}": ([*self.given, *overrides], TASK) for name, overrides in self.tasks.items()},
-            **{f"world {name}": ([*self.given, *first, *overrides], WORLD) for name, overrides in self.worlds.items()},
-            "collect": (self.models["collect"], COLLECTED),
-        }
-        values: dict[str, Any] = {}
-        for name, (overrides, groups) in asked.items():
-            config = (
-                composer.expand(overrides, check=False).all_valid_or_raise()[0].config
-            )  # every option is composed once
-            values[name] = {group: _stated(getattr(config, group)) for group in groups}
+
+        def stated(overrides: Sequence[str], groups: Sequence[str]) -> dict[str, Any]:
+            cell, *_ = composer.expand(overrides, check=False).all_valid_or_raise()  # every option is composed once
+            return {group: _stated(getattr(cell.config, group)) for group in groups}
+
+        values = {}
+        for name, overrides in self.tasks.items():
+            values[f"task {name}"] = stated([*self.given, *overrides], TASK)
+        for name, overrides in self.worlds.items():
+            values[f"world {name}"] = stated([*self.given, *first, *overrides], WORLD)
+        values["collect"] = stated(self.models["collect"], COLLECTED)
         for rule, models in RULES.items():
-            values[rule] = {model: _stated(self.fitted(composer, rule, model)[1]) for model in models}
+            values[rule] = {}
+            for model in models:
+                _, settings = self.fitted(composer, rule, model)
+                values[rule][model] = _stated(settings)
         return values
 
     def fitted(self, composer: Composer, rule: str, model: str) -> tuple[Config, Any]:
@@ -118,9 +122,9 @@ class Protocol:
     def check(self, size: str, composer: Composer) -> None:
         """Raise UsageError where there is no size of this name, DataError where a family's words mean other values than
         when the protocol was frozen."""
-        sizes = {size: None for family in self.families.values() for size in family.sizes}
+        sizes = distinct(chain(*(family.sizes for family in self.families.values())))
         if size not in sizes:
-            raise UsageError(f"--size {size}: no such size{suggestion(size, [*sizes])}")
+            raise UsageError(f"--size {size}: no such size{suggestion(size, sizes)}")
         for name, sha256 in self.hashes.items():
             if sha256 != digest(self.families[name].values(composer)):
                 raise DataError(
@@ -139,7 +143,8 @@ def protocol_of(text: bytes) -> Protocol:
     content = yaml.safe_load(text)
     families = {}
     for name, part in content["families"].items():
-        worlds = {**part["worlds"], **dict(_drawn(part.get("draws", {}), **content.get("draws", {})))}
+        drawn = _drawn(part.get("draws", {}), **content.get("draws", {}))
+        worlds = {**part["worlds"], **dict(drawn)}
         models = part["models"]
         overrides = tuple(part["given"])
         families[name] = Family(name, part["what"], overrides, models, part["tasks"], worlds, part["sizes"])
@@ -153,10 +158,11 @@ def _drawn(kinds: Mapping[str, Any], seed: int = 0, each: int = 0) -> Iterable[t
     random = np.random.Generator(np.random.PCG64(seed))
     for kind, rule in kinds.items():
         for i in range(1, each + 1):
-            draws = {}
+            overrides = list(rule["given"])
             for key, ends in rule["between"].items():
-                draws[key] = np.round(random.uniform(*ends), 3).tolist()
-            yield f"{kind}_{i}", [*rule["given"], *(f"{key}={value}".replace(" ", "") for key, value in draws.items())]
+                value = np.round(random.uniform(*ends), 3).tolist()
+                overrides.append(f"{key}={value}".replace(" ", ""))
+            yield f"{kind}_{i}", overrides
 
 
 def with_fewer_seeds(protocol: Protocol, size: str, seeds: int) -> tuple[Protocol, str]:

@@ -79,8 +79,8 @@ def standings(rows: Rows, *, metric: str = "mean_error", baseline: str = "") -> 
     ranked = [i for i, name in enumerate(names) if not entries[name]["bound"]]
     lost = ~np.isfinite(errors)
     ranks = named(ranked, rankdata(errors[ranked], axis=0))  # ties share their mean rank
+    seed_losses = np.column_stack([lost[:, k].sum(axis=1) for k in of_seed.values()])
     seed_ranks = {i: np.array([np.mean(of_entry[k]) for k in of_seed.values()]) for i, of_entry in ranks.items()}
-    seed_losses = np.array([[of_entry[k].sum() for k in of_seed.values()] for of_entry in lost])
     order = _order(seed_losses, seed_ranks)
     least = np.min(errors[ranked], axis=0, initial=np.inf)
     board = []

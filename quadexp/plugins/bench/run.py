@@ -94,12 +94,13 @@ def bench(
         with flying(store, lambda: "interrupted"):
             flights, notes = _flights(entries, protocol, asked.size, composer, out / MODELS, say)
             flying_entries = {about["entry"] for _, about in flights}
-            for name in (entry.name for entry in invited if entry.name not in flying_entries):
-                raise UsageError(next(note for note in notes if note.startswith(f"{name} has no part")))
+            for entry in invited:
+                if entry.name not in flying_entries:
+                    raise UsageError(next(note for note in notes if note.startswith(f"{entry.name} has no part")))
             keys = [next(iter(plan_cells([cell]))) for cell, _ in flights]
             cells = named(keys, (cell for cell, _ in flights))  # two entries may fly the same
-            options: Any = {"function": function, "isolate": isolate, "progress": progress}
-            flown = {row["key"]: row for row in fly_cells([*cells.values()], store, engine, **options)}
+            done = fly_cells([*cells.values()], store, engine, function=function, isolate=isolate, progress=progress)
+            flown = {row["key"]: row for row in done}
             made_by = {"protocol": protocol.version, "protocol_sha256": protocol.sha256, "size": called}
             rows = []
             for key, (_, about) in zip(keys, flights, strict=True):
@@ -139,7 +140,8 @@ def _flights(
             configs = configs_of(
                 entry, family, protocol, size, composer, checkpoints.get(entry.model, checkpoints.get("fit"))
             )
-            if why := why_not(configs[0][3]):
+            why = why_not(configs[0][3])
+            if why:
                 notes.append(f"{entry.name} has no part in {family.name}: {why}")
                 continue
             for task, world, texts, config in configs:

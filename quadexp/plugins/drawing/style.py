@@ -169,7 +169,11 @@ def _looks_of_options() -> dict[str, Look]:
     """The looks that the options of controllers state (`look:`); last those that share a hue with another one that they
     seldom stand beside (`seldom: true`)."""
     files = OptionFiles()
-    stated = {option: look for option in files.options("controller") if (look := files.look("controller", option))}
+    stated = {}
+    for option in files.options("controller"):
+        look = files.look("controller", option)
+        if look:
+            stated[option] = look
     usual_first = sorted(stated.items(), key=lambda item: bool(item[1].get("seldom")))
     return {option: Look(look["hue"], look["marker"], look["dash"]) for option, look in usual_first}
 
@@ -181,7 +185,9 @@ MODELS = {  # of the air
     "blade element": Look("vermillion", "D", "-."),
 }
 LOOKS = MODELS | _looks_of_options()
-BLUE, ORANGE, GREY = HUES["blue"], HUES["orange"], "#777777"
+BLUE = HUES["blue"]
+ORANGE = HUES["orange"]
+GREY = "#777777"
 # Light for small errors, dark for large ones; without the end that is invisible on white paper.
 ERROR_COLOURS = LinearSegmentedColormap.from_list(
     "error", matplotlib.colormaps["magma_r"](np.linspace(0.18, 0.97, 256))
@@ -244,10 +250,15 @@ def plain_log(axis: Any, *, minor: bool = False) -> None:
     low, high = axis.get_view_interval()
     if high / low < 1.6:
         middle = math.sqrt(low * high)
-        low, high = middle / 1.6, middle * 1.6
+        low = middle / 1.6
+        high = middle * 1.6
         axis.set_view_interval(low, high, ignore=True)
     span = high / low
-    steps = (1,) if span > 300 else (1, 2, 5) if span > 6 else (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8)
+    steps = [1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8]
+    if span > 300:
+        steps = [1]
+    elif span > 6:
+        steps = [1, 2, 5]
     decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     ticks = [step * 10.0**decade for decade in decades for step in steps]
     axis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
@@ -292,7 +303,7 @@ def check_path(path: Path, force: bool, suffixes: Sequence[str] = PICTURES) -> P
 def save(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG and SVG; returns the path of the SVG, the last that is written."""
     set_status(f"drawing {path.name}")
-    for form in FORMATS[::-1]:
+    for form in reversed(FORMATS):
         save_figure(figure, path.with_suffix(f".{form}"))
     return path.with_suffix(".svg")
 
@@ -301,9 +312,11 @@ def figure_html(figure: Figure, label: str) -> str:
     """A figure inside a page: a drawing (SVG), or where it has too many marks a picture (PNG). label: its description
     for screen readers."""
     with matplotlib.rc_context({**STYLE, "svg.fonttype": "none"}):
-        form, drawn = "svg+xml", drawing(figure, format="svg", transparent=True, metadata={"Date": None})
+        form = "svg+xml"
+        drawn = drawing(figure, format="svg", transparent=True, metadata={"Date": None})
     if len(drawn) > LARGEST_DRAWING:
-        form, drawn = "png", drawing(figure, format="png", dpi=DOTS)
+        form = "png"
+        drawn = drawing(figure, format="png", dpi=DOTS)
     source = f"data:image/{form};base64,{base64.b64encode(drawn).decode()}"
     return f'<figure style="--wide:{figure.get_size_inches()[0]:.1f}"><img alt="{html(label)}" src="{source}"></figure>'
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -194,9 +195,11 @@ def adapting_process(residual: Residual, outputs: Sequence[OutputPosterior], s: 
         if output.output in AXIS:
             scaled = output.inducing / output.lengthscale
             distance = ((scaled[:, None] - scaled[None]) ** 2).sum(axis=2)
-            lower = np.linalg.cholesky(np.exp(-0.5 * distance) + JITTER * np.eye(end - first))
+            kernel = np.exp(-0.5 * distance) + JITTER * np.eye(end - first)
+            lower = np.linalg.cholesky(kernel)
+            root = s * np.linalg.inv(lower).T
             at = np.arange(first, end)
-            blocks.append(Block(AXIS[output.output], at, residual.theta[at], s * np.linalg.inv(lower).T, s**2))
+            blocks.append(Block(AXIS[output.output], at, residual.theta[at], root, s**2))
     return Adapting(residual, tuple(blocks))
 
 
@@ -254,6 +257,6 @@ def fit_gp(
             spread = scaled.variance if output == "a_z" else 0.0
             posteriors.append(replace(posterior, noise_variance=posterior.noise_variance + spread))
     callback("fit done", 1.0)
-    stated = origin(dataset, [name for names in chosen.values() for name in names], settings, LIBRARIES)
+    stated = origin(dataset, list(chain(*chosen.values())), settings, LIBRARIES)
     stated["settings"]["features"] = lists(chosen)
     return GaussianProcessModel(tuple(posteriors), mean, drag, **stated)

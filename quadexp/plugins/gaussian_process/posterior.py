@@ -26,6 +26,7 @@ w = 1 / (1 + sigma_f^2/s^2 - ||F k||^2/s^2), a ratio of parameters.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Annotated
 
@@ -98,8 +99,9 @@ class OutputPosterior(Record, frozen=True):
             rows = slice(start, start + CHUNK)
             distance = (features[rows, None, :] - self.inducing) / self.lengthscale
             e = np.exp(-0.5 * np.einsum("kmd,kmd->km", distance, distance))
+            whitened = e @ self.variance_factor.T
             mean[rows] = e @ self.alpha
-            variance[rows] = self.signal_variance - np.sum((e @ self.variance_factor.T) ** 2, axis=1)
+            variance[rows] = self.signal_variance - np.sum(whitened**2, axis=1)
         return Prediction(mean, np.maximum(variance, 0.0), self.noise_variance)
 
 
@@ -132,14 +134,19 @@ def gaussian_process_residual(
     """
     n_mean = N_PARAMETERS if mean_terms is None else mean_terms.n_parameters
     mean = np.zeros(n_mean) if mean_parameters is None else np.asarray(mean_parameters, float)
-    scales = [1.0 / (np.sqrt(2.0) * o.lengthscale) for o in outputs]
+    scales = []
     points = []
-    for o, scale in zip(outputs, scales, strict=True):
+    for o in outputs:
+        scale = 1.0 / (np.sqrt(2.0) * o.lengthscale)
+        scales.append(scale)
         points.append((o.inducing * scale).T.ravel())
-    known = [fallback(o, continued=mean_terms is None) for o in outputs] if weighed else []
+    known = []
     factors = []
-    for o, f in zip(outputs, known, strict=False):
-        factors.append((o.variance_factor * np.sqrt(f[0] / o.signal_variance)).T.ravel())
+    for o in outputs if weighed else ():
+        of_output = fallback(o, continued=mean_terms is None)
+        factor = o.variance_factor * np.sqrt(of_output[0] / o.signal_variance)
+        known.append(of_output)
+        factors.append(factor.T.ravel())
     theta = np.concatenate([mean, *scales, *points, *(o.alpha for o in outputs), *known, *factors])
 
     names = feature_names(vehicle.n_rotors)
@@ -153,10 +160,12 @@ def gaussian_process_residual(
     )
 
     def posterior_mean(sums: Callable[..., Sums]) -> ca.Function:
-        of_points = [ca.vertcat(*part) for part in sums(structure, select(z_, scale_), points_, alpha_, factor_)]
-        return residual_function("gaussian_process", z_, theta_, assemble(z_, mean_, scale_, known_, *of_points))
+        parts = sums(structure, select(z_, scale_), points_, alpha_, factor_)
+        correction = assemble(z_, mean_, scale_, known_, *(ca.vertcat(*part) for part in parts))
+        return residual_function("gaussian_process", z_, theta_, correction)
 
-    return Residual("gaussian_process", posterior_mean(_matrix_sums), theta, source, posterior_mean(_compiled_sums))
+    interpreted = posterior_mean(_matrix_sums)
+    return Residual("gaussian_process", interpreted, theta, source, posterior_mean(_compiled_sums))
 
 
 def fallback(posterior: OutputPosterior, *, continued: bool) -> np.ndarray:
@@ -190,31 +199,32 @@ def _matrix_sums(
     """(alpha k) 1 of every output and (alpha k)^T d of every feature, in matrix operations; with factors F also
     ||F k||^2 and (F^T F k k)^T d."""
     n_alpha, n_point = _sizes(structure)
-    distance = []
-    for feature, point in zip(ca.vertsplit(scaled), split(points, n_point), strict=True):
-        distance.append(feature - point)
-    of_output = []
-    for i, (_, features, _) in enumerate(structure):
-        of_output += [i] * len(features)
-    exponent = []
-    for o in range(len(structure)):
-        exponent.append(sum(d * d for d, i in zip(distance, of_output, strict=True) if i == o))
-    kernel = ca.exp(-ca.vertcat(*exponent))  # all outputs in one vectorised loop
-    weighted = split(alpha * kernel, n_alpha)
+    places = zip(ca.vertsplit(scaled), split(points, n_point), strict=True)
+    distances: list[list[Expression]] = []  # of every output, of its features
+    for _, features, _ in structure:
+        distances.append([feature - point for feature, point in islice(places, len(features))])
+    exponents = []
+    for of_output in distances:
+        exponents.append(sum(d * d for d in of_output))
+    kernel = ca.exp(-ca.vertcat(*exponents))  # all outputs in one vectorised loop
     kernels = split(kernel, n_alpha)
-    values = []
-    for a, k in zip(split(alpha, n_alpha), kernels, strict=True):
-        values.append(ca.dot(a, k))
-    sums = values, [ca.dot(weighted[i], d) for d, i in zip(distance, of_output, strict=True)]
+    values = [ca.dot(a, k) for a, k in zip(split(alpha, n_alpha), kernels, strict=True)]
+    slopes = _slopes(split(alpha * kernel, n_alpha), distances)
     if not factor.numel():
-        return *sums, [], []
-    roots = []
-    for f, m in zip(split(factor, [m * m for m in n_alpha]), n_alpha, strict=True):
-        roots.append(ca.reshape(f, m, m))
-    known = [f @ k for f, k in zip(roots, kernels, strict=True)]
-    back = [f.T @ q * k for f, q, k in zip(roots, known, kernels, strict=True)]
-    slopes = [ca.dot(back[i], d) for d, i in zip(distance, of_output, strict=True)]
-    return *sums, [ca.dot(q, q) for q in known], slopes
+        return values, slopes, [], []
+    known = []
+    back = []
+    for f, m, k in zip(split(factor, [m * m for m in n_alpha]), n_alpha, kernels, strict=True):
+        root = ca.reshape(f, m, m)
+        whitened = root @ k
+        known.append(ca.dot(whitened, whitened))
+        back.append(root.T @ whitened * k)
+    return values, slopes, known, _slopes(back, distances)
+
+
+def _slopes(weights: Sequence[Expression], distances: Sequence[Sequence[Expression]]) -> list[Expression]:
+    """The weights (M,) of every output on the distances (M,) of its features."""
+    return [ca.dot(weight, d) for weight, of_output in zip(weights, distances, strict=True) for d in of_output]
 
 
 def _compiled_sums(
@@ -233,15 +243,24 @@ def _compiled_sums(
             {"feature": dense(d), "points": dense(m * d), "alpha": dense(m), "factor": dense(m * m * weighed)},
             {"value": dense(1), "slope": dense(d), "known": dense(weighed), "known_slope": dense(d * weighed)},
         )
-    sizes = zip(*((d, m * d, m, m * m * weighed) for m, d in shapes), strict=True)
-    arguments = zip(*map(split, (scaled, points, alpha, factor), sizes), strict=True)
-    results = [kernels[shape](*of_output) for shape, of_output in zip(shapes, arguments, strict=True)]
+    features = split(scaled, [d for _, d in shapes])
+    parts = split(points, [m * d for m, d in shapes])
+    alphas = split(alpha, [m for m, _ in shapes])
+    factors = split(factor, [m * m * weighed for m, _ in shapes])
+    results = []
+    for shape, *arguments in zip(shapes, features, parts, alphas, factors, strict=True):
+        results.append(kernels[shape](*arguments))
     return tuple(map(list, zip(*results, strict=True)))
 
 
 def _sizes(structure: Structure) -> tuple[list[int], list[int]]:
     """Number of points of every output, and of every feature."""
-    return [m for _, _, m in structure], [m for _, features, m in structure for _ in features]
+    n_alpha = []
+    n_point = []
+    for _, features, m in structure:
+        n_alpha.append(m)
+        n_point += [m] * len(features)
+    return n_alpha, n_point
 
 
 def _scalar_functions(
@@ -287,14 +306,16 @@ def _scalar_functions(
             if mean_terms is None and {*features} <= CONTINUED.get(output, set()):
                 v = z[AXIS[output]]
                 far = c[0] + c[1] * v + c[2] * v * abs(v) + c[3] * ca.sum1(z[len(FEATURES) :])
-            d_share = (value[i] - far) * share**2
-            correction = far + share * (value[i] - far)
+            apart = value[i] - far
+            d_share = apart * share**2
+            correction = far + share * apart
             dy_dz[row, :] += (1 - share) * ca.jacobian(far, z)
         y[row] += correction
         for columns in feature_places(names, features, "gp"):
-            dy_dz[row, columns] -= 2 * scale[len(phi)] * (share * slope[len(phi)])
+            k = len(phi)
+            dy_dz[row, columns] -= 2 * scale[k] * (share * slope[k])
             if weighed:
-                dy_dz[row, columns] -= 4 * scale[len(phi)] * (d_share * known_slope[len(phi)])
+                dy_dz[row, columns] -= 4 * scale[k] * (d_share * known_slope[k])
             phi.append(ca.sum1(z[columns]))
     select = ca.Function("select", [z, scale], [scale * ca.vertcat(*phi)])
     arguments = [z, mean, scale, numbers, value, slope, known, known_slope]

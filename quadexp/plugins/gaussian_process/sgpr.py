@@ -93,7 +93,8 @@ def fit_output(
         bound = maximise(pilot, PILOT_ITERATIONS, lambda k: report(0.15 * k / PILOT_ITERATIONS))
         guess = pilot.hyperparameters
         candidates = order[: max(CANDIDATE_ROWS, settings.inducing)]
-        rows = candidates[greedy_points(x[candidates], guess.lengthscale, settings.inducing)]
+        informative = greedy_points(x[candidates], guess.lengthscale, settings.inducing)
+        rows = candidates[informative]
         points = x[rows]
 
     if settings.method == "sgpr":
@@ -141,8 +142,10 @@ def greedy_points(x: np.ndarray, lengthscale: np.ndarray, count: int) -> np.ndar
             rest = np.setdiff1d(np.arange(n), chosen, assume_unique=True)
             return np.concatenate([chosen, rest[: count - len(chosen)]]).astype(int)
         k = np.exp(-0.5 * np.sum((scaled - scaled[pivot]) ** 2, axis=1))
-        row = (k - factor[: len(chosen), pivot] @ factor[: len(chosen)]) / np.sqrt(variance[pivot])
-        factor[len(chosen)] = row
+        n_chosen = len(chosen)
+        known = factor[:n_chosen, pivot] @ factor[:n_chosen]
+        row = (k - known) / np.sqrt(variance[pivot])
+        factor[n_chosen] = row
         variance = np.maximum(variance - row**2, 0.0)
         variance[pivot] = 0.0
         chosen.append(pivot)
@@ -162,7 +165,8 @@ class GPRegression(gpytorch.models.ExactGP):
             noise_constraint=gpytorch.constraints.GreaterThan(NOISE_FLOOR)
         )
         super().__init__(torch.as_tensor(x), torch.as_tensor(y), likelihood)
-        base = gpytorch.kernels.ScaleKernel(gpytorch.kernels.RBFKernel(ard_num_dims=x.shape[1]))
+        kernel = gpytorch.kernels.RBFKernel(ard_num_dims=x.shape[1])
+        base = gpytorch.kernels.ScaleKernel(kernel)
         self.mean_module = gpytorch.means.ZeroMean()
         self.jitter = jitter
         self.covar_module = self.base = base
@@ -197,23 +201,32 @@ class GPRegression(gpytorch.models.ExactGP):
         """Titsias' bound per row; see the module."""
         signal = self.base.outputscale
         noise = self.likelihood.noise
-        eye, (x,), y = torch.eye(len(z), dtype=z.dtype), self.train_inputs, self.train_targets
+        eye = torch.eye(len(z), dtype=z.dtype)
+        (x,) = self.train_inputs
+        y = self.train_targets
         lower = torch.linalg.cholesky(self.base(z).to_dense() + self.jitter * signal * eye)
 
         def sums(x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
             a = torch.linalg.solve_triangular(lower, self.base(z, x).to_dense(), upper=False)
             return a @ a.T, a @ y
 
-        chunks = list(zip(x.split(CHUNK), y.split(CHUNK), strict=True))
-        again = partial(checkpoint, sums, use_reentrant=False) if len(chunks) > 1 else sums
-        s, b = (torch.stack(parts).sum(dim=0) for parts in zip(*(again(*chunk) for chunk in chunks), strict=True))
         n = len(x)
+        again = partial(checkpoint, sums, use_reentrant=False) if n > CHUNK else sums
+        outers = []
+        inners = []
+        for chunk in zip(x.split(CHUNK), y.split(CHUNK), strict=True):
+            outer, inner = again(*chunk)
+            outers.append(outer)
+            inners.append(inner)
+        s = torch.stack(outers).sum(dim=0)
+        b = torch.stack(inners).sum(dim=0)
         factor = torch.linalg.cholesky(s + noise * eye)
         whitened = torch.linalg.solve_triangular(factor, b[:, None], upper=False)
         quadratic = (y @ y - whitened.square().sum()) / noise
         determinant = (n - len(z)) * noise.log() + 2 * factor.diagonal().log().sum()
         trace = (n * signal - s.trace()) / noise
-        return -0.5 * (math.log(2 * math.pi) + (determinant + quadratic + trace).squeeze() / n)
+        misfit = (determinant + quadratic + trace).squeeze()
+        return -0.5 * (math.log(2 * math.pi) + misfit / n)
 
 
 def maximise(model: GPRegression, iterations: int, report: Callable[[int], None] = lambda done: None) -> float:
@@ -234,8 +247,7 @@ def maximise(model: GPRegression, iterations: int, report: Callable[[int], None]
         except (NotPSDError, NanError, torch.linalg.LinAlgError):
             return FAILED, np.zeros_like(flat)
         gradient = parameters_to_vector([p.grad for p in parameters]).numpy()
-        finite = bool(np.isfinite(value.item()) and np.all(np.isfinite(gradient)))
-        if finite:
+        if np.isfinite(value.item()) and np.isfinite(gradient).all():
             return value.item(), gradient
         return FAILED, np.zeros_like(flat)
 
@@ -256,8 +268,11 @@ def maximise(model: GPRegression, iterations: int, report: Callable[[int], None]
 
 def rbf(a: np.ndarray, b: np.ndarray, lengthscale: np.ndarray) -> np.ndarray:
     """exp(-1/2 sum_i ((a_i - b_i) / l_i)^2), (len(a), len(b))."""
-    distance = ((a[:, None, i] - b[None, :, i]) / lengthscale[i] for i in range(a.shape[1]))
-    return np.exp(-0.5 * sum(d * d for d in distance))
+    squares = np.zeros((len(a), len(b)))
+    for i, length in enumerate(lengthscale):
+        distance = (a[:, None, i] - b[None, :, i]) / length
+        squares += distance * distance
+    return np.exp(-0.5 * squares)
 
 
 def sparse_posterior(
@@ -271,11 +286,13 @@ def sparse_posterior(
     m = len(inducing)
     sf2 = p.signal_variance
     sn = np.sqrt(p.noise_variance)
-    lower = cholesky(sf2 * (rbf(inducing, inducing, p.lengthscale) + jitter * np.eye(m)), lower=True)
+    covariance = sf2 * (rbf(inducing, inducing, p.lengthscale) + jitter * np.eye(m))
+    lower = cholesky(covariance, lower=True)
     a = solve_triangular(lower, sf2 * rbf(inducing, x, p.lengthscale), lower=True) / sn
     eigenvalue, vector = eigh(a @ a.T)
     eigenvalue = np.maximum(eigenvalue, 0.0)
-    whitened = vector @ ((vector.T @ (a @ y)) / (1 + eigenvalue)) / sn
+    projected = vector.T @ (a @ y)
+    whitened = vector @ (projected / (1 + eigenvalue)) / sn
     alpha = sf2 * solve_triangular(lower, whitened, lower=True, trans="T")
     root = (vector * np.sqrt(eigenvalue / (1 + eigenvalue))).T  # root' root = I - B^-1
     factor = sf2 * solve_triangular(lower, root.T, lower=True, trans="T").T
@@ -286,6 +303,7 @@ def exact_posterior(x: np.ndarray, y: np.ndarray, p: Hyperparameters) -> tuple[n
     """Weights alpha (n,) and variance factor F (n, n) of the exact GP: (K + sigma_n^2 I)^-1 y and its root."""
     n = len(x)
     sf2 = p.signal_variance
-    lower = cholesky(sf2 * rbf(x, x, p.lengthscale) + p.noise_variance * np.eye(n), lower=True)
+    covariance = sf2 * rbf(x, x, p.lengthscale) + p.noise_variance * np.eye(n)
+    lower = cholesky(covariance, lower=True)
     inverse = solve_triangular(lower, np.eye(n), lower=True)
     return sf2 * (inverse.T @ (inverse @ y)), np.asarray(np.linalg.qr(sf2 * inverse, mode="r"))

@@ -84,7 +84,8 @@ def _write_gif(picture: _Picture, times: np.ndarray, file: BinaryIO, progress: P
             yield picture.frame(t).quantize(palette=palette, dither=Image.Dither.NONE)
             progress(k + 1, len(times))
 
-    shown = 10 * np.diff(np.round(100 * (times - times[0]))).astype(int)  # ms, in the file's unit, without drifting
+    hundredths = np.round(100 * (times - times[0]))  # the file's unit, without drifting
+    shown = 10 * np.diff(hundredths).astype(int)  # ms
     durations = [*shown.tolist(), round(1000 * HOLD)]
     every = frames()
     next(every).save(file, "GIF", save_all=True, append_images=every, duration=durations, loop=0)
@@ -100,7 +101,8 @@ def _check_same_reference(paths: Sequence[Path], flights: Sequence[Flight]) -> N
         between = fine.stack(REFERENCE)
         if len(fine) > 1:
             between = CubicSpline(fine.t, between)(coarse.t[common])
-        if np.abs(between - coarse.stack(REFERENCE)[common]).max() > SAME:
+        apart = between - coarse.stack(REFERENCE)[common]
+        if np.abs(apart).max() > SAME:
             raise UsageError(f"{path}: follows another reference than {paths[0]}; give flights of one trajectory")
 
 
@@ -131,7 +133,9 @@ class _Flown:
         self.flight = flight
         self.error = position_error(flight)
         self.rotors = flight.rotor_position
-        of_all = f"mean {1e3 * self.error.mean():.3g} mm" if flight.outcome in COMPLETED else flight.outcome
+        of_all = flight.outcome
+        if of_all in COMPLETED:
+            of_all = f"mean {1e3 * self.error.mean():.3g} mm"
         (self._trail,) = panels.path.plot([], [], color=colour, linewidth=2)
         (self._vehicle,) = panels.path.plot([], [], marker="o", markersize=5, color=colour, linestyle="none")
         (self._line,) = panels.course.plot([], [], color=colour, label=f"{label}: {of_all}")
@@ -140,7 +144,8 @@ class _Flown:
 
     def sample(self, t: float) -> int:
         """The last sample that is not after a time (s), or the first one."""
-        return max(int(np.searchsorted(self.flight.t, t + 1e-9)) - 1, 0)
+        following = int(np.searchsorted(self.flight.t, t + 1e-9))
+        return max(following - 1, 0)
 
     def largest_error(self, begin: float, end: float) -> float:
         """Between two times (s), in m."""
@@ -153,7 +158,8 @@ class _Flown:
         behind = slice(int(np.searchsorted(flight.t, t - TRAIL)), k + 1)
         self._trail.set_data(flight["p_x"][behind], flight["p_y"][behind])
         self._vehicle.set_data(flight["p_x"][k : k + 1], flight["p_y"][k : k + 1])
-        self._line.set_data(flight.t[: k + 1], 1e3 * np.maximum(self.error[: k + 1], LEAST_ERROR))
+        error = np.maximum(self.error[: k + 1], LEAST_ERROR)
+        self._line.set_data(flight.t[: k + 1], 1e3 * error)
         if t > flight.t[-1] + AFTER_END:
             self._vehicle.set_marker("x")
             self._body.set_segments([])
@@ -207,10 +213,15 @@ class _Picture:
 
     def _scale_course(self, course: Any, duration: float) -> None:
         """From small errors to the largest one, of the whole flights (s)."""
-        moving = [flown.error[flown.error > 0] for flown in self._flown]
-        small = min((float(np.percentile(error, 5)) for error in moving if len(error)), default=0.0)
-        low = max(small, 1e-6)
-        high = 1.3 * max(2 * low, *(flown.error.max() for flown in self._flown))
+        small = []
+        largest = 0.0
+        for flown in self._flown:
+            moving = flown.error[flown.error > 0]
+            if len(moving):
+                small.append(float(np.percentile(moving, 5)))
+            largest = max(largest, flown.error.max())
+        low = max(min(small, default=0.0), 1e-6)
+        high = 1.3 * max(2 * low, largest)
         course.set(xlim=(0, duration), yscale="log", ylim=(1e3 * low, 1e3 * high))
         course.set(xlabel="time (s)", ylabel="error (mm)")
         plain_log(course.yaxis)
@@ -223,14 +234,17 @@ class _Picture:
             flown.show(t)
         for artist in self._moving:
             artist.axes.draw_artist(artist)
-        return Image.fromarray(np.asarray(self._canvas.buffer_rgba())[..., :3].copy())
+        pixels = np.asarray(self._canvas.buffer_rgba())
+        return Image.fromarray(pixels[..., :3].copy())
 
 
 def _title(flight: Flight) -> str:
     config = flight.metadata.get("config", {})
     speed = (config.get("trajectory") or {}).get("speed")
     name = flight.metadata.get("trajectory", "")
-    return f"{name} at {speed_text(speed)}" if speed else str(name)
+    if speed:
+        return f"{name} at {speed_text(speed)}"
+    return str(name)
 
 
 def _body(flight: Flight, k: int, rotors: np.ndarray) -> list[np.ndarray]:
@@ -240,6 +254,6 @@ def _body(flight: Flight, k: int, rotors: np.ndarray) -> list[np.ndarray]:
     angle = np.linspace(0, 2 * np.pi, 17)
     radius = 0.55 * norms(rotors[:, :2]).min()
     disc = radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
-    arms = [np.stack([np.zeros(3), rotor]) for rotor in rotors]
-    discs = [rotor + disc for rotor in rotors]
-    return [(centre + rotation.apply(line))[:, :2] for line in (*arms, *discs)]
+    lines = [np.stack([np.zeros(3), rotor]) for rotor in rotors]
+    lines += [rotor + disc for rotor in rotors]
+    return [(centre + rotation.apply(line))[:, :2] for line in lines]

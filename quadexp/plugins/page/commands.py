@@ -66,16 +66,18 @@ def plot(
     figure = view(frame, y=y, x=x, by=_keys(by), facet=_keys(facet), kind=kind).named(names)
     if height is not None and not 1 <= height <= 20:
         raise UsageError(f"--height {height:g}: must be in [1, 20] inches")
-    figure = replace(
-        figure.coloured(_colours(color)), heading=title, width=WIDTHS[width] if width else None, height=height
-    )
+    wide = WIDTHS[width] if width else None
+    figure = figure.coloured(_colours(color))
+    figure = replace(figure, heading=title, width=wide, height=height)
     save_view(figure, path, title=f"{results.name}: {figure.y_label}", force=force)
     numbers = records(figure)
     about = {"kind": figure.kind, "x": figure.x.key, "by": figure.by, "facet": figure.facet, "y": figure.y}
     checked = check_flights(frame.root, frame.rows, whole.rows)
     notes = [figure.caption, *figure.notes, f"{checked.text()}.", *checked.lines()]
     record = {"path": path, **about, "notes": notes, "points": numbers}
-    said = [*((figure.caption,) if width else ()), *figure.notes]
+    said = list(figure.notes)
+    if width:
+        said.insert(0, figure.caption)
     return Answer(record, numbers, [path], said, remarks=[f"warning: {line}" for line in checked.lines()])
 
 
@@ -117,7 +119,7 @@ def _colours(words: Sequence[str]) -> dict[str, str]:
 
 def _keys(words: Sequence[str]) -> list[str] | None:
     """Keys of an option that is repeatable, also with commas between; None where there are none."""
-    return [key.strip() for text in words for key in text.split(",") if key.strip()] or None
+    return list(filter(None, map(str.strip, ",".join(words).split(",")))) or None
 
 
 @command
@@ -211,9 +213,8 @@ def animate(
     from quadexp.plugins.page.animation import animate as draw
 
     movie = draw(flights, out, rate=rate, begin=begin, end=end, force=force)
-    return Answer(
-        movie, [single_values(movie)], [f"{movie['frames']} frames, {movie['duration']:.1f} s", movie["path"]]
-    )
+    text = f"{movie['frames']} frames, {movie['duration']:.1f} s"
+    return Answer(movie, [single_values(movie)], [text, movie["path"]])
 
 
 @command
@@ -246,17 +247,21 @@ def compare(
         from quadexp.plugins.page.draw import comparison_figure
 
         save_figure(comparison_figure(report["kind"], [first, *others]), out, force=force)
-    checked = {}
-    for p in (first, *others):
-        if report["kind"] == "results":
-            checked[str(p)] = check_flights(*read_results(p)[:2])
-    wrong = [f"{folder}: {line}" for folder, files in checked.items() for line in files.lines(beside=False)]
+    checked = []
+    wrong = []
+    for folder in (first, *others) if report["kind"] == "results" else ():
+        files = check_flights(*read_results(folder)[:2])
+        checked.append(f"{folder}: {files.text()}")
+        wrong += [f"{folder}: {line}" for line in files.lines(beside=False)]
     for line in wrong:
         say(f"warning: {line}")
     record = without(report, ("lines", "tables"))
-    record |= {"picture": out} if out else {}
-    record["checked"] = [f"{folder}: {files.text()}" for folder, files in checked.items()] + wrong
-    return Answer(record, report["tables"], [*report["lines"], *([out] if out else [])])
+    said = [*report["lines"]]
+    if out:
+        record["picture"] = out
+        said.append(out)
+    record["checked"] = checked + wrong
+    return Answer(record, report["tables"], said)
 
 
 def results_html(

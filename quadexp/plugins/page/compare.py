@@ -65,8 +65,11 @@ def _flight(path: Path) -> Side:
     row = flight.metadata.get("row")
     if not row:
         raise UsageError(f"{path}: a flight without a result row (a recorded one?): it cannot be compared")
-    speed = f" at {text}" if (text := speed_text(row["speed"])) else ""
-    about = f"{row['controller']} on {row['trajectory']}{speed}, {row['plant']}, seed {row['seed']}"
+    course = row["trajectory"]
+    speed = speed_text(row["speed"])
+    if speed:
+        course = f"{course} at {speed}"
+    about = f"{row['controller']} on {course}, {row['plant']}, seed {row['seed']}"
     numbers = {name: math.nan if row.get(name) is None else float(row[name]) for name in FIGURES}
     return Side(about, record_of(flight.metadata), numbers, flight)
 
@@ -115,7 +118,10 @@ def compare(*files: str | Path) -> Report:
     else:
         report |= _compare_sides([SIDES[kinds[0]](path) for path in paths], paths)
     if len(paths) > 2:
-        report["lines"] = [line for table in report["tables"] for line in ("", *table.lines())][1:]
+        lines = []
+        for table in report["tables"]:
+            lines += ["", *table.lines()]
+        report["lines"] = lines[1:]
     return report
 
 

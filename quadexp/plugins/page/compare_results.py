@@ -62,20 +62,27 @@ def compare_results(paths: Sequence[Path]) -> Report:
     _, tables, records = zip(*map(read_results, paths), strict=True)
     metric = records[0].get("metric", "mean_error")
     sides = matched(*tables)
-    cells = {key: tuple(side[key] for side in sides) for key in sides[0] if all(key in side for side in sides)}
+    cells = {}
+    for key in sides[0]:
+        if all(key in side for side in sides):
+            cells[key] = tuple(side[key] for side in sides)
     labels = contestant_labels(distinct(who for _, who, _ in cells))
     means = _common_means(cells, labels, metric)
-    title = f"{metric_of(metric).title} ({metric_of(metric).unit})"
+    about = metric_of(metric)
+    report: Report = {"metric": metric, "metrics": {}}
     rows = []
     for label, (of_sides, flights) in means.items():
-        rows.append([label, *(number(metric_of(metric).factor * mean) for mean in of_sides), str(flights)])
-    report: Report = {"metric": metric, "metrics": {label: of_sides for label, (of_sides, _) in means.items()}}
-    report["tables"] = [Table([title, *names_of(paths), "flights"], rows, notes=[NOTE])]
+        numbers = [number(about.factor * mean) for mean in of_sides]
+        rows.append([label, *numbers, str(flights)])
+        report["metrics"][label] = of_sides
+    heads = [f"{about.title} ({about.unit})", *names_of(paths), "flights"]
+    report["tables"] = [Table(heads, rows, notes=[NOTE])]
     if len(paths) > 2:
         return report
-    only = {"a": _missing(sides[0], sides[1]), "b": _missing(sides[1], sides[0])}
+    only = {"a": _missing(*sides), "b": _missing(*sides[::-1])}
     report |= {"pairs": len(cells), "only": only, "configuration": {}, "outcome": {}, "metrics": []}
-    lines = [f"{name}  {path}: {len(side)} cells" for name, path, side in zip("ab", paths, sides, strict=True)] + [""]
+    lines = [f"{name}  {path}: {len(side)} cells" for name, path, side in zip("ab", paths, sides, strict=True)]
+    lines.append("")
     for name, missing in only.items():
         if missing:
             lines.append(f"only in {name}  {causes_text(missing)}")
@@ -84,8 +91,9 @@ def compare_results(paths: Sequence[Path]) -> Report:
     settings = _cell_settings(paths, cells)
     outcomes = Counter((was["outcome"], now["outcome"]) for was, now in cells.values())
     changed = [f"{n} {was}" if was == now else f"{n} {was} -> {now}" for (was, now), n in outcomes.items()]
-    before, after = (_exact_numbers(rows) for rows in zip(*cells.values(), strict=True))
-    same = int(((before == after) | (before.isna() & after.isna())).all(axis=1).sum())
+    before, after = (pd.DataFrame(rows, columns=EXACT) for rows in zip(*cells.values(), strict=True))
+    alike = (before == after) | (before.isna() & after.isna())
+    same = int(alike.all(axis=1).sum())
     contestants = _contestants(cells, labels, metric, records[0].get("confidence", 0.95))
     lines += [*setting_lines(settings), "", f"outcome  {', '.join(changed)}"]
     lines += [f"same     {same} of {len(cells)} pairs are the same to the last bit, measured times apart", ""]
@@ -94,11 +102,6 @@ def compare_results(paths: Sequence[Path]) -> Report:
     report["identical"] = same
     report["metrics"] = contestants
     return report | {"lines": [*lines, *_contestant_table(contestants, metric).lines()]}
-
-
-def _exact_numbers(rows: Rows) -> pd.DataFrame:
-    """What two runs of the same flights have in common."""
-    return pd.DataFrame([[row[name] for name in EXACT] for row in rows])
 
 
 def matched(*tables: Rows) -> list[dict[Key, Row]]:
@@ -131,8 +134,13 @@ def _common_means(cells: Cells, labels: Mapping[Contestant, str], metric: str) -
     n_sides = len(next(iter(cells.values()), ()))
     means = {}
     for who, label in labels.items():
-        flights = [cells[at, who, seed] for at, seed in sorted(shared, key=str)] if who in compared else []
-        means[label] = [_mean([rows[i] for rows in flights], metric) for i in range(n_sides)], len(flights)
+        flights = []
+        if who in compared:
+            flights = [cells[at, who, seed] for at, seed in sorted(shared, key=str)]
+        of_sides = []
+        for i in range(n_sides):
+            of_sides.append(_mean([rows[i] for rows in flights], metric))
+        means[label] = of_sides, len(flights)
     return means
 
 
@@ -151,15 +159,22 @@ def _missing(mine: Mapping[Key, Row], its: Mapping[Key, Row]) -> dict[str, int]:
 def _cell_settings(roots: Sequence[Path], cells: Cells) -> Settings | None:
     """Settings that differ between the cells of a pair, one pair per condition and contestant; None without cells."""
     pairs = grouped((key[:2], rows) for key, rows in cells.items())
-    compared = []
+    compared: list[tuple[str, Any]] = []
+    read = False
     for rows, *_ in list(pairs.values())[:MOST_CONFIGURATIONS]:
         with contextlib.suppress(QuadexpError):  # a failed cell has no file
-            files = (CellStore(root).path(row["key"]) for root, row in zip(roots, rows, strict=True))
-            compared.append(differing(*(record_of(read_metadata(file, "flight")) for file in files)))
-    if not compared:
+            records = []
+            for root, row in zip(roots, rows, strict=True):
+                file = CellStore(root).path(row["key"])
+                records.append(record_of(read_metadata(file, "flight")))
+            compared += differing(*records).items()
+            read = True
+    if not read:
         return None
-    values = grouped(item for settings in compared for item in settings.items())
-    return {key: [_any_of(side) for side in zip(*several, strict=True)] for key, several in values.items()}
+    settings = {}
+    for key, several in grouped(compared).items():
+        settings[key] = [_any_of(side) for side in zip(*several, strict=True)]
+    return settings
 
 
 def _any_of(values: Sequence[Any]) -> Any:
@@ -186,9 +201,12 @@ def _contestants(cells: Cells, labels: Mapping[Contestant, str], metric: str, co
         s = replace(s, p_holm=p_holm, comparisons=tests)
         pairs = pairs_of[who]
         completed = [pair for pair in pairs if all(is_flown(row) and math.isfinite(row[metric]) for row in pair)]
-        flown = {side: [sum(is_flown(pair[i]) for pair in pairs), len(pairs)] for i, side in enumerate("ab")}
+        flown = {}
+        means = []
+        for i, side in enumerate("ab"):
+            flown[side] = [sum(is_flown(pair[i]) for pair in pairs), len(pairs)]
+            means.append(_mean([pair[i] for pair in completed], metric))
         about = {"label": labels[who], "cells": len(pairs), "flown": flown, "left_out": s.left_out}
-        means = change(*(_mean([pair[i] for pair in completed], metric) for i in (0, 1)))
         test = {
             "pairs": s.pairs,
             "seeds": s.units,
@@ -200,7 +218,7 @@ def _contestants(cells: Cells, labels: Mapping[Contestant, str], metric: str, co
             "ratio_high": -s.reduction_low,
             "distinguishable": s.significant,
         }
-        records.append(about | means | test)
+        records.append(about | change(*means) | test)
     return records
 
 

@@ -50,7 +50,11 @@ def side_by_side(records: Sequence[Mapping[str, Any]], missing: Any) -> dict[str
 def differing(*records: Mapping[str, Any]) -> Settings:
     """Dotted key -> its value in each, for those that differ; "-" for a missing key."""
     settings = side_by_side([*map(flat, records)], ABSENT)
-    return {key: values for key, values in settings.items() if any(value != values[0] for value in values)}
+    different = {}
+    for key, values in settings.items():
+        if any(value != values[0] for value in values):
+            different[key] = values
+    return different
 
 
 def change(a: float, b: float) -> dict[str, float]:

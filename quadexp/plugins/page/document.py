@@ -33,9 +33,10 @@ class Cell:
 
 def cell_of(text: str | Cell) -> Cell:
     """A cell of a table; of a text such as `**1.2** [1.1, 1.3]* (1 lost)` the rest stands below the number."""
-    if isinstance(text, Cell) or (parts := _NUMBER.fullmatch(text)) is None:
-        if isinstance(text, Cell):
-            return text
+    if isinstance(text, Cell):
+        return text
+    parts = _NUMBER.fullmatch(text)
+    if parts is None:
         return Cell(text)
     bold, value, limits, star, beside = parts.groups("")
     return Cell(value + star, (limits, beside), best=bool(bold))

@@ -76,12 +76,13 @@ def save_view(view: View, path: Path, title: str = "", *, force: bool = True) ->
 
 def page_of(view: View, title: str) -> str:
     """The figure with its numbers as one page that opens without a network."""
-    shown = []
-    for row in records(view):
-        shown.append({**row, **{n: view.factor * row[n] for n in (view.y, "low", "high")}})
-    rows = []
-    for row in shown:
-        rows.append({n: float(f"{v:.6g}") if isinstance(v, float) else v for n, v in row.items()})
+    rows = records(view)
+    for row in rows:
+        for name, value in row.items():
+            if name in (view.y, "low", "high"):
+                value = view.factor * value
+            if isinstance(value, float):
+                row[name] = float(f"{value:.6g}")
     table = records_table(rows)
     heads = [f"{name} ({view.unit})" if name == view.y and view.unit else name for name in table.columns]
     heading = view.heading or title or view.y_label
@@ -112,6 +113,7 @@ def results_figure(paths: Sequence[Path]) -> Figure:
             variant = f"{row.get('variant') or ''} {SOURCE}={name}".strip()
             rows.append({**row, "variant": variant})
     frame = SweepFrame(rows, paths[0], record)
-    axes = [key for key in frame.swept if key not in (SOURCE, "controller", "model", "trajectory", "seed")]
-    x = max(axes, key=lambda key: len(frame.values(key))) if axes else "controller"
+    aside = (SOURCE, "controller", "model", "trajectory", "seed")
+    axes = [key for key in frame.swept if key not in aside]
+    x = max(axes, key=lambda key: len(frame.values(key)), default="controller")
     return figure_of(view(frame, x=x, by=[SOURCE], y=str(record.get("metric", "mean_error"))))

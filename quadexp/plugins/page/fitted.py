@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import zip_longest
 
 from quadexp.messages import printable
 from quadexp.report.table import Table, latex_row, marked
@@ -21,7 +22,7 @@ BOLD = 1.16  # width of bold digits over that of usual ones
 GLYPHS = {  # width (pt) in Computer Modern at 8 pt -> letters that have at most this one
     2.8: "!',.:;[]`ilfj-",
     3.4: "()rtsI",
-    4.3: 'cez0123456789ago/"$*?^~',
+    4.3: ' cez0123456789ago/"$*?^~',
     4.8: "kqvxySbdhnpuJ_",
     6.0: "ZLFEPB",
 }
@@ -35,9 +36,11 @@ def text_width(text: str) -> float:
     """Width of a cell at 8 pt (pt), rather too large than too small."""
     width = 0.0
     for letter in marked(text, str):
-        known = next((size for size, letters in GLYPHS.items() if letter in letters), None)
-        width += known or (4.3 if letter == " " else CAPITAL if letter.isalpha() and letter not in "mMW" else WIDEST)
-    return width * (BOLD if "**" in text else 1.0)
+        other = CAPITAL if letter.isalpha() and letter not in "mMW" else WIDEST
+        width += next((size for size, letters in GLYPHS.items() if letter in letters), other)
+    if "**" in text:
+        return width * BOLD
+    return width
 
 
 def _broken(text: str, room: float) -> list[str]:
@@ -66,14 +69,17 @@ def _rooms(table: Table, width: float) -> list[float]:
         widest_label = rooms.index(max(rooms[:n]))
         rooms[widest_label] *= 0.95
     for i in range(n):
-        broken = [line for text in (table.columns[i], *cells[i]) for line in _broken(text, rooms[i])]
+        broken = []
+        for text in (table.columns[i], *cells[i]):
+            broken += _broken(text, rooms[i])
         rooms[i] = max(map(text_width, broken))
     return rooms
 
 
 def tabulars(table: Table, width: float) -> list[list[int]]:
     """The columns of each tabular: as many as fit beside the labels."""
-    rooms, n = _rooms(table, width), table.beside
+    rooms = _rooms(table, width)
+    n = table.beside
     places: list[list[int]] = []
     for i in range(n, len(rooms)):
         together = [*range(n), *(places[-1][n:] if places else ()), i]
@@ -90,13 +96,16 @@ def fitted_latex(table: Table, width: float) -> str:
     notes = [f"% {printable(note)}" for note in ("needs \\usepackage{booktabs}", *table.notes)]
     parts = []
     for columns in tabulars(table, width):
-        lines = [_lines([row[i] for i in columns], [rooms[i] for i in columns], table.beside) for row in table.rows]
-        while lines:
-            count = 0
-            while count < len(lines) and (not count or sum(map(len, lines[: count + 1])) <= MOST_LINES):
-                count += 1
-            parts.append(_tabular(table, columns, rooms, lines[:count]))
-            lines = lines[count:]
+        widths = [rooms[i] for i in columns]
+        part: list[list[list[str]]] = []
+        for row in table.rows:
+            lines = _lines([row[i] for i in columns], widths, table.beside)
+            if part and sum(map(len, part)) + len(lines) > MOST_LINES:
+                parts.append(_tabular(table, columns, rooms, part))
+                part = []
+            part.append(lines)
+        if part:
+            parts.append(_tabular(table, columns, rooms, part))
     body = "\n\\par\\medskip\\noindent\n".join(parts)
     begin = rf"\begingroup\footnotesize\setlength{{\tabcolsep}}{{{GAP / 2:g}pt}}\noindent"
     return "\n".join([*notes, begin, body, r"\par\endgroup"]) + "\n"
@@ -105,25 +114,25 @@ def fitted_latex(table: Table, width: float) -> str:
 def _lines(row: Sequence[str], rooms: Sequence[float], labels: int) -> list[list[str]]:
     """A row as lines of a tabular: labels that are too long go on in the next line, numbers stand in the first."""
     broken = [_broken(text, rooms[i]) if i < labels else [text] for i, text in enumerate(row)]
-    deep = max(map(len, broken))
-    return [[cell[k] if k < len(cell) else "" for cell in broken] for k in range(deep)]
+    return [list(line) for line in zip_longest(*broken, fillvalue="")]
 
 
 def _tabular(
     table: Table, columns: Sequence[int], rooms: Sequence[float], rows: Sequence[Sequence[Sequence[str]]]
 ) -> str:
-    n, across = table.beside, len(columns)
+    n = table.beside
+    across = len(columns)
     sides = "".join("l" if i in table.left else "r" for i in columns)
     lines = [rf"\begin{{tabular}}{{@{{}}{sides}@{{}}}}", r"\toprule"]
-    room = sum(rooms[i] for i in columns[n:]) + GAP * (across - n - 1)
-    for text in _broken(table.over, room) if table.over and across > n else ():
-        lines.append(rf"{'& ' * n}\multicolumn{{{across - n}}}{{c}}{{{latex_row([text])[:-3]}}} \\")
     if table.over and across > n:
+        room = sum(rooms[i] for i in columns[n:]) + GAP * (across - n - 1)
+        for text in _broken(table.over, room):
+            lines.append(rf"{'& ' * n}\multicolumn{{{across - n}}}{{c}}{{{latex_row([text])[:-3]}}} \\")
         lines.append(rf"\cmidrule(l){{{n + 1}-{across}}}")
     heads = [_broken(table.columns[i], max(rooms[i], LEAST_HEADING * (i >= n))) for i in columns]
     deep = max(map(len, heads))
     heads = [[""] * (deep - len(head)) + head for head in heads]  # the last lines stand on one line
-    lines += [latex_row([head[k] for head in heads]) for k in range(deep)]
+    lines += map(latex_row, zip(*heads, strict=True))
     lines.append(r"\midrule")
     before = None
     for row in rows:

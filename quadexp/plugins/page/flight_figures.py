@@ -51,8 +51,10 @@ def tracked_paths(
     panels = [*product(controllers[:most], conditions)]
     single = len(conditions) == 1
     columns = len(conditions)
-    if single:
-        columns = 2 if len(panels) == 4 else min(len(panels), 3)
+    if len(panels) == 4 and single:
+        columns = 2
+    elif single:
+        columns = min(len(panels), 3)
     lines = math.ceil(len(panels) / columns)
     norm = _error_scale([flights[place] for place in panels if place in flights])
     across = max(float(np.ptp(flight["p_x"])) for flight in flights.values())
@@ -105,7 +107,8 @@ def _draw_path(panel: Any, flight: Flight, norm: Normalize) -> None:
     panel.plot(flight["ref_p_x"], flight["ref_p_y"], color="#888888", linewidth=0.8, label="reference")
     points = flight.stack(["p_x", "p_y"])
     error = np.maximum(MM * position_error(flight), norm.vmin or 0.0)
-    flown = LineCollection([*np.stack([points[:-1], points[1:]], axis=1)], cmap=ERROR_COLOURS, norm=norm)
+    pieces = np.stack([points[:-1], points[1:]], axis=1)
+    flown = LineCollection([*pieces], cmap=ERROR_COLOURS, norm=norm)
     flown.set_linewidth(1.6)
     flown.set_array((error[:-1] + error[1:]) / 2)
     panel.add_collection(flown)
@@ -120,10 +123,13 @@ def flights_figure(flights: Mapping[str, Flight]) -> Figure:
         if not len(flight):
             raise UsageError(f"{name}: holds no samples ({flight.outcome}), there is nothing to draw")
     first = next(iter(flights.values()))
-    thrusts = [name for name in first.columns if name.startswith("u_")] if len(flights) == 1 else []
+    thrusts = []
+    if len(flights) == 1:
+        thrusts = [name for name in first.columns if name.startswith("u_")]
     referred = "ref_p_x" in first.columns
     figure = Figure(figsize=(10.0, 4.4))
-    places: Any = figure.subplot_mosaic([["above", "course"], ["above", "thrusts" if thrusts else "course"]])
+    below = "thrusts" if thrusts else "course"
+    places: Any = figure.subplot_mosaic([["above", "course"], ["above", below]])
     above = places["above"]
     course = places["course"]
     if referred:
@@ -131,11 +137,12 @@ def flights_figure(flights: Mapping[str, Flight]) -> Figure:
     look = looks([f"{flight.metadata.get('controller', '')} {name}".strip() for name, flight in flights.items()])
     drawn = []
     for (name, flight), style in zip(flights.items(), look.values(), strict=True):
-        label = name
-        values = norms(flight.stack(["v_x", "v_y", "v_z"])) if not referred else MM * position_error(flight)
         if referred:
-            values = np.maximum(values, LEAST_ERROR)
+            values = np.maximum(MM * position_error(flight), LEAST_ERROR)
             label = f"{name}: mean {MM * mean_error(flight):.3g} mm"
+        else:
+            values = norms(flight.stack(["v_x", "v_y", "v_z"]))
+            label = name
         above.plot(flight["p_x"], flight["p_y"], label=name, **style.line())
         course.plot(flight.t, values, label=label, **style.line())
         drawn.append(values)

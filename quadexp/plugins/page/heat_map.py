@@ -25,14 +25,17 @@ LONGEST_TICK = 20  # letters, beside a map
 
 
 def heat_map(view: View) -> Figure:
-    rows = replace(Axis.of(view.by[0], [line[0] for line in view.lines()]), names=view.names)
+    by = Axis.of(view.by[0], [line[0] for line in view.lines()])
+    rows = replace(by, names=view.names)
     n_rows = len(rows.values)
     n_columns = len(view.x.values)
     cell = 0.62 if n_columns * n_rows <= MOST_NUMBERS else 0.2  # inches
     size = max(2.2, cell * n_columns + 1.0), max(1.6, 0.42 * n_rows + 0.8)
     figure, grid, _ = panel_grid(view, size, 3)
     means = [view.factor * point.mean for point in view.places.values() if point.is_shown]
-    norm = LogNorm(min(means), max(means)) if is_log(view) else Normalize(min(means), max(means) or 1.0)
+    least = min(means)
+    largest = max(means)
+    norm = LogNorm(least, largest) if is_log(view) else Normalize(least, largest or 1.0)
     for panel, facet in zip(grid.flat, view.panels, strict=False):
         _draw_map(panel, view, facet, rows, norm)
     for panel in grid[:, 0]:
@@ -58,8 +61,8 @@ def _draw_map(panel: Any, view: View, facet: Place, rows: Axis, norm: Normalize)
         panel.tick_params(axis="x", rotation=30)
     for (j, i), point in points.items():
         if not point.is_shown:
-            hatch = Rectangle((i - 0.5, j - 0.5), 1, 1, fill=False, hatch="///", edgecolor="#CCCCCC", linewidth=0)
-            panel.add_patch(hatch)
+            corner = (i - 0.5, j - 0.5)
+            panel.add_patch(Rectangle(corner, 1, 1, fill=False, hatch="///", edgecolor="#CCCCCC", linewidth=0))
         if means.size <= MOST_NUMBERS:
             colour = "#444444"
             if point.is_shown:
@@ -79,4 +82,7 @@ def _cell(point: Point, mean: float) -> str:
     lost = f"{point.ended}/{point.trials}"
     if not point.is_shown:
         return f"{lost}\nflown"
-    return significant(mean) + (f"\n{lost}" if point.ended < point.trials else "")
+    text = significant(mean)
+    if point.ended < point.trials:
+        return f"{text}\n{lost}"
+    return text

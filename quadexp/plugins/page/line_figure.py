@@ -58,9 +58,8 @@ def line_figure(view: View) -> Figure:
     grouped = view.x.kind == "group"
     width = max(3.1, 0.42 * len(view.x.values)) if grouped else 3.1
     names = [line.name for line in lines]
-    figure, grid, columns = panel_grid(
-        view, (width, 3.0), max(1, int(12.4 / width)), names, sharey=True, sharex=grouped
-    )
+    most = max(1, int(12.4 / width))
+    figure, grid, columns = panel_grid(view, (width, 3.0), most, names, sharey=True, sharex=grouped)
     log = is_log(view)
     for panel, facet in zip(grid.flat, view.panels, strict=False):
         here = set()
@@ -74,9 +73,13 @@ def line_figure(view: View) -> Figure:
     for panel in grid[:, 0]:
         panel.set_ylabel(view.y_label)
     for line in lines:
-        of_line = [point for place, point in view.places.items() if place[len(view.facet) : -1] == line.place]
+        of_line: list[Point] = []
+        for facet in view.panels:
+            of_line += view.of_line(facet, line.place).values()
         if not any(point.is_shown for point in of_line):
-            what = "invalid" if all(point.invalid for point in of_line) else "no flight was completed"
+            what = "no flight was completed"
+            if all(point.invalid for point in of_line):
+                what = "invalid"
             grid[0, 0].plot([], [], label=f"{line.name} ({what})".strip(), **line.cross)
     if len(lines) > 1:
         figure.legend(*entries(grid.flat), loc="outside lower center", ncols=columns)
@@ -92,11 +95,14 @@ def label_of(view: View, line: Place, names: Mapping[str, str]) -> str:
             alike = {other[k] for other in view.lines() if _without(other, k) == _without(line, k)}
             if len(alike) == 1 and "controller" in view.by:
                 continue
-            text = view.title((key,), (value,)) or ("" if "controller" in view.by else "no checkpoint")
+            text = view.title((key,), (value,))
+            if not text and "controller" not in view.by:
+                text = "no checkpoint"
         elif key == "controller":
             text = str(value)
         else:
-            text = f"{names.get(key, key.rpartition('.')[2])}={value} {unit_of(key)}".strip()
+            name = names.get(key, key.rpartition(".")[2])
+            text = f"{name}={value} {unit_of(key)}".strip()
         parts.append(names.get(value_text(key, value), text))
     return " ".join(filter(None, parts))
 
@@ -121,7 +127,10 @@ def looks_of(view: View) -> dict[Place, Look]:
 
 def _draw_means(panel: Any, view: View, line: Line, points: Mapping[Any, Point], log: bool) -> None:
     """Means, their bars, and how many flights were completed where some were lost."""
-    shown = {value: points[value] for value in view.x.values if value in points and points[value].is_shown}
+    shown = {}
+    for value in view.x.values:
+        if value in points and points[value].is_shown:
+            shown[value] = points[value]
     if not shown:
         return
     look = line.look.points()
@@ -157,8 +166,16 @@ def _draw_gone(panel: Any, view: View, line: Line, points: Mapping[Any, Point]) 
             at = (place_of(view.x, value, line), height)
             panel.plot(*at, transform=edge, clip_on=False, **line.cross)
             text = "invalid" if point.invalid else f"{point.ended}/{point.trials}"
-            beside = {"xytext": (5, 0), "textcoords": "offset points", "va": "center", "fontsize": 6.5}
-            panel.annotate(text, at, xycoords=edge, color=line.look.colour, **beside)
+            panel.annotate(
+                text,
+                at,
+                (5, 0),
+                xycoords=edge,
+                textcoords="offset points",
+                va="center",
+                fontsize=6.5,
+                color=line.look.colour,
+            )
 
 
 def place_of(axis: Axis, value: Any, line: Line) -> float:
@@ -173,7 +190,9 @@ def _scale_means(panel: Any, view: View, n_lines: int, log: bool) -> None:
     shown = [point for point in view.places.values() if point.is_shown]
     if log:
         panel.set_yscale("log")
-        seen = [value for point in shown for value in (point.mean, point.low) if value > 0.1 * point.mean]
+        seen = []
+        for point in shown:
+            seen.append(point.low if point.low > 0.1 * point.mean else point.mean)
         panel.set_ylim(bottom=0.8 * view.factor * min(seen))
     elif all(point.mean >= 0 for point in shown):
         largest = max(max(point.mean, point.high, 0) for point in shown)
@@ -181,7 +200,8 @@ def _scale_means(panel: Any, view: View, n_lines: int, log: bool) -> None:
     if len(shown) < len(view.places):
         low, high = panel.get_ylim()
         share = 1.0 / (0.92 - BETWEEN * min(n_lines, LEVELS))
-        panel.set_ylim(top=low * (high / low) ** share if log else low + (high - low) * share)
+        top = low * (high / low) ** share if log else low + (high - low) * share
+        panel.set_ylim(top=top)
     if log:
         plain_log(panel.yaxis, minor=True)
     elif view.y == SUCCESS:

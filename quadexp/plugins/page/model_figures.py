@@ -62,7 +62,8 @@ def moved(
     """The output's values in `data`, (n,), moved by the model's difference between their rows and the same feature i
     with all else at its median; and values minus mean."""
     rows = _rows_along(output, i, data.matrix([output.features[i]])[:, 0], data)
-    remainder = data.matrix([output.output])[:, 0] - _predict(model, output, data).mean
+    values = data.matrix([output.output])[:, 0]
+    remainder = values - _predict(model, output, data).mean
     return _predict(model, output, rows).mean + remainder, remainder
 
 
@@ -81,7 +82,8 @@ def _rows_along(output: OutputPosterior, i: int, x: np.ndarray, data: ResidualDa
     columns = {name: np.full(len(x), value) for name, value in medians.items()}
     columns[output.features[i]] = x
     if THRUST in columns:
-        columns |= {name: columns[THRUST] / len(rotors) for name in rotors if name not in output.features}
+        each = columns[THRUST] / len(rotors)
+        columns |= {name: each for name in rotors if name not in output.features}
     elif not rotors:
         columns[THRUST] = np.zeros(len(x))
     return ResidualDataset(columns | {"flight": np.zeros(len(x), int)}, {})
@@ -115,7 +117,9 @@ def symbol(name: str) -> str:
     """A column's name as mathematics: a_x -> $a_x$, thrust -> $T$."""
     index = name.partition("_")[2]
     letter = quantity(name).letter
-    return f"${letter}_{{{index}}}$" if index else f"${letter}$"
+    if index:
+        return f"${letter}_{{{index}}}$"
+    return f"${letter}$"
 
 
 def axis_label(name: str) -> str:
@@ -125,8 +129,9 @@ def axis_label(name: str) -> str:
 
 def density(panel: Any, x: np.ndarray, y: np.ndarray, extent: Sequence[float], cells: tuple[int, int]) -> None:
     """How many data lie where, darker where denser. extent: (x low, x high, y low, y high). cells: across and up."""
-    look = {"mincnt": 1, "cmap": COUNTS, "norm": LogNorm(), "linewidths": 0.1, "zorder": 1}
-    panel.hexbin(x, y, extent=tuple(extent), gridsize=cells, **look)
+    panel.hexbin(
+        x, y, extent=tuple(extent), gridsize=cells, mincnt=1, cmap=COUNTS, norm=LogNorm(), linewidths=0.1, zorder=1
+    )
 
 
 @styled
@@ -136,7 +141,9 @@ def fit_figure(model: GaussianProcessModel, data: ResidualDataset) -> Figure:
     data: samples to show, best held-out ones. With several features, a panel moves one of them and holds
     the others at their medians; the data are moved by the model's difference (`moved`).
     """
-    pairs = [(output, i) for output in model.outputs for i in range(len(output.features))]
+    pairs = []
+    for output in model.outputs:
+        pairs += [(output, i) for i in range(len(output.features))]
     columns = min(len(pairs), MAX_COLUMNS)
     lines = math.ceil(len(pairs) / columns)
     figure = Figure(figsize=(3.3 * columns + 0.4, 4.6 * lines + 0.4))
@@ -145,7 +152,8 @@ def fit_figure(model: GaussianProcessModel, data: ResidualDataset) -> Figure:
     lowers = grid[1::2].flat
     for upper, lower, (output, i) in zip(uppers, lowers, pairs, strict=False):
         _draw_fit(upper, lower, model, output, i, data)
-    for panel in [*grid[0::2].flat[len(pairs) :], *grid[1::2].flat[len(pairs) :]]:
+    n = len(pairs)
+    for panel in [*uppers[n:], *lowers[n:]]:
         panel.remove()
     _legend_above(figure)
     return figure
@@ -164,8 +172,10 @@ def _draw_fit(
     inside = (values >= x[0]) & (values <= x[-1])  # beyond, the model extrapolates
     if not inside.any():
         inside[:] = True
-    top = _limits([*np.quantile(target[inside], [0.0005, 0.9995]), *mean])
-    largest = max(np.quantile(np.abs(remainder[inside]), 0.998), 1.15 * np.median(band))
+    extremes = np.quantile(target[inside], [0.0005, 0.9995])
+    top = _limits([*extremes, *mean])
+    large = np.quantile(np.abs(remainder[inside]), 0.998)
+    largest = max(large, 1.15 * np.median(band))
     bottom = _limits([-largest, largest])
     density(upper, values, target, (*ends, *top), (60, 36))
     upper.plot([], [], linestyle="none", marker="h", color="#6B7690", label="data, darker where denser")
@@ -179,9 +189,18 @@ def _draw_fit(
     lower.fill_between(x, -band, band, color=BLUE, alpha=0.25, linewidth=0, zorder=2)
     lower.axhline(0, color=BLUE, linewidth=1.4, zorder=3)
     inducing = output.inducing[:, i]
-    inducing = inducing[(inducing > ends[0]) & (inducing < ends[1])]
-    at_foot = {"marker": "|", "markersize": 9, "markeredgewidth": 1.1, "clip_on": False, "zorder": 5}
-    lower.plot(inducing, np.full(len(inducing), bottom[0]), "k", linestyle="none", label="inducing points", **at_foot)
+    shown = (inducing > ends[0]) & (inducing < ends[1])
+    inducing = inducing[shown]
+    lower.plot(
+        inducing,
+        np.full(len(inducing), bottom[0]),
+        "k|",
+        markersize=9,
+        markeredgewidth=1.1,
+        clip_on=False,
+        zorder=5,
+        label="inducing points",
+    )
     lower.set(ylabel=f"data minus mean ({quantity(output.output).unit})", xlabel=axis_label(feature))
     lower.set(xlim=ends, ylim=bottom)
     mathematics(upper)
@@ -205,7 +224,8 @@ def _limits(values: ArrayLike, margin: float = MARGIN) -> tuple[float, float]:
     """Limits around the values, with a little air, a share of their span."""
     low = float(np.min(values))
     high = float(np.max(values))
-    return low - margin * (high - low), high + margin * (high - low)
+    air = margin * (high - low)
+    return low - air, high + air
 
 
 def _legend_above(figure: Figure) -> None:

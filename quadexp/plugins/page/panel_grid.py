@@ -36,19 +36,24 @@ def panel_grid(
     without = [view.title(view.facet, facet) for facet in view.panels[MAX_PANELS:]]
     if without:
         lines.append(f"no room for {len(without)} panels: {', '.join(without)}")
-    above = [part for line in lines for part in textwrap.wrap(line, int(15 * width))]
+    above = []
+    for line in lines:
+        above += textwrap.wrap(line, int(15 * width))
     widest = max(map(len, labels), default=1) + MARK
     columns = max(1, min(len(labels), int(LETTERS * width / widest)))
     legend = 0.2 * math.ceil(len(labels) / columns) if len(labels) > 1 else 0.0
     down = math.ceil(len(panels) / across)
-    figure = Figure(figsize=(width, view.height or height * down + 0.4 + legend + 0.17 * len(above)))
+    whole = height * down + 0.4 + legend + 0.17 * len(above)
+    figure = Figure(figsize=(width, view.height or whole))
     grid = figure.subplots(down, across, squeeze=False, **share)
     for panel, facet in zip(grid.flat, panels, strict=False):
-        panel.set_title(textwrap.fill(view.title(view.facet, facet), max(12, int(11 * width / across))))
+        title = view.title(view.facet, facet)
+        panel.set_title(textwrap.fill(title, max(12, int(11 * width / across))))
         panel.set_xlabel(view.x.label)
-    for panel in grid.flat[len(panels) :]:
+    n = len(panels)
+    for panel in grid.flat[n:]:
         panel.set_axis_off()
-    for panel in grid.flat[max(len(panels) - across, 0) : (down - 1) * across]:
+    for panel in grid.flat[max(n - across, 0) : (down - 1) * across]:
         panel.tick_params(labelbottom=True)  # there is none below that would have the values
     figure.suptitle("\n".join(above), fontsize=8)
     return figure, grid, columns

@@ -48,7 +48,8 @@ def paper_table(
     baseline = frame.record.get("baseline", "nominal_mpc")
     confidence = float(frame.record.get("confidence", 0.95))
     if rows is None and columns is None and metric != SUCCESS:
-        return _named(compact_table(frame.rows, metric, baseline, confidence, intervals, digits), names, metric)
+        table = compact_table(frame.rows, metric, baseline, confidence, intervals, digits)
+        return _named(table, names, metric)
     down, across = _chosen(frame, rows, columns)
     keys = [*down, *across]
     others = [key for key in frame.swept if key not in ("seed", *keys)]
@@ -56,12 +57,14 @@ def paper_table(
     title = "share of completed flights"
     factor, unit = shown(metric)
     if metric != SUCCESS:
-        single = _statistics(
-            frame, keys, compute_statistics(frame.rows, metrics=(metric,), baseline=baseline, confidence=confidence)
-        )
-        title = metric_of(metric).title + (f" ({unit})" if unit else "")
+        statistics = compute_statistics(frame.rows, metrics=(metric,), baseline=baseline, confidence=confidence)
+        single = _statistics(frame, keys, statistics)
+        title = metric_of(metric).title
+        if unit:
+            title += f" ({unit})"
     cells = {}
-    for place, point in points(frame, keys, metric, others=others, confidence=confidence).items():
+    point_of = points(frame, keys, metric, others=others, confidence=confidence)
+    for place, point in point_of.items():
         cells[place] = cell_text(factor, point, single.get(place), intervals, digits)
     n = len(down)
     columns_of = distinct(place[n:] for place in cells)
@@ -69,7 +72,10 @@ def paper_table(
     for line in distinct(place[:n] for place in cells):
         texts = [cells.get((*line, *column), "-") for column in columns_of]
         lines.append([*map(value_text, down, line), *texts])
-    heads = [with_unit(key.rpartition(".")[2].replace("_", " "), key) for key in down]
+    heads = []
+    for key in down:
+        name = key.rpartition(".")[2].replace("_", " ")
+        heads.append(with_unit(name, key))
     heads += [", ".join(map(_text, across, column)) for column in columns_of]
     notes = [f"mean over {key}: {', '.join(map(str, frame.values(key)))}" for key in others]
     if any(cell.endswith("*") for cell in cells.values()):
@@ -104,9 +110,14 @@ def _statistics(frame: SweepFrame, keys: Sequence[str], statistics: Sequence[Sta
     columns = [shown_column(frame, key, keys) for key in keys]
     of_place: dict[Place, set[Place]] = {}
     for row, *place in zip(frame.rows, *columns, strict=True):
-        of_place.setdefault(tuple(place), set()).add((contestant_of(row), condition_of(row)))
-    single = {place: by_flight.get(flown.pop()) for place, flown in of_place.items() if len(flown) == 1}
-    return {place: statistic for place, statistic in single.items() if statistic is not None}
+        flown = of_place.setdefault(tuple(place), set())
+        flown.add((contestant_of(row), condition_of(row)))
+    single = {}
+    for at, flown in of_place.items():
+        flight = flown.pop()
+        if not flown and flight in by_flight:
+            single[at] = by_flight[flight]
+    return single
 
 
 def _text(key: str, value: object) -> str:
@@ -130,13 +141,19 @@ def _named(table: Table, names: Mapping[str, str], metric: str) -> Table:
 
     n = table.beside
     notes = [said(note) for note in table.notes]
-    if any(re.search(r"\d/\d", cell) for row in table.rows for cell in row[n:]):
-        notes.append("k/n: k of n flights were completed")
     columns = [said(text) for text in table.columns]
-    rows = [[*map(said, row[:n]), *row[n:]] for row in table.rows]
+    rows = []
+    labels: list[str] = []
+    numbers: list[str] = []
+    for row in table.rows:
+        rows.append([*map(said, row[:n]), *row[n:]])
+        labels += filter(None, row[:n])
+        numbers += row[n:]
+    if any(re.search(r"\d/\d", cell) for cell in numbers):
+        notes.append("k/n: k of n flights were completed")
     over = names.get(metric, said(table.over))
     for name in names:
         if name not in used:
-            known = [*table.columns, *(cell for row in table.rows for cell in row[:n] if cell), metric]
-            raise UsageError(f"--label {name}: no key or value of this table{suggestion(name, distinct(known))}")
+            known = distinct([*table.columns, *labels, metric])
+            raise UsageError(f"--label {name}: no key or value of this table{suggestion(name, known)}")
     return replace(table, columns=columns, rows=rows, over=over, title=over, notes=notes)

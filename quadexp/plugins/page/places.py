@@ -71,15 +71,20 @@ def points(
     places: dict[Place, list[_Flight]] = {}
     for i, row in enumerate(frame.rows):
         place = tuple(column[i] for column in columns)
-        what = tuple(column[i] for column in averaged), row["seed"]
-        flight = _Flight(row, what, values[i] if is_flown(row) else None)
         if None not in place:
-            places.setdefault(place, []).append(flight)
+            what = tuple(column[i] for column in averaged), row["seed"]
+            value = values[i] if is_flown(row) else None
+            places.setdefault(place, []).append(_Flight(row, what, value))
     beside: dict[Place, dict[Place, set[What]]] = {}  # the same course -> place -> completed flights
     for place, flights in places.items():
         course = tuple(value for value, key in zip(place, keys, strict=True) if not of_contestant(key))
-        completed = {flight.what for flight in flights if flight.value is not None}
-        broken = {flight.what for flight in flights if flight.value is None and not is_invalid(flight.row)}
+        completed = set()
+        broken = set()
+        for flight in flights:
+            if flight.value is not None:
+                completed.add(flight.what)
+            elif not is_invalid(flight.row):
+                broken.add(flight.what)
         beside.setdefault(course, {})[place] = completed - broken
     used: dict[Place, Set[What]] = {}
     for ended in beside.values():

@@ -88,7 +88,8 @@ def path_grids(rows: Rows) -> dict[str, PathGrid]:
         settings = courses[row["trajectory"], setting].removeprefix(row["trajectory"]).strip(", ")
         words = ", ".join(filter(None, [*worlds, settings])).replace("=", " ")
         name = names[contestant_of(row)]
-        of_condition = cells.setdefault(row["trajectory"], {}).setdefault((words, speed or 0.0), {})
+        of_trajectory = cells.setdefault(row["trajectory"], {})
+        of_condition = of_trajectory.setdefault((words, speed or 0.0), {})
         if name not in of_condition or (is_flown(row) and not is_flown(of_condition[name])):
             of_condition[name] = row
     grids: dict[str, PathGrid] = {}
@@ -101,7 +102,9 @@ def path_grids(rows: Rows) -> dict[str, PathGrid]:
         for words, of_words in list(speeds.items())[:MAX_CONDITIONS]:
             chosen = sorted({round(k) for k in np.linspace(len(of_words) - 1, 0, each)})
             kept += [(words, of_words[k]) for k in chosen]
-        texts = {(words, v): ", ".join(filter(None, (speed_text(v or None), words))) for words, v in flown}
+        texts = {}
+        for words, speed in flown:
+            texts[words, speed] = ", ".join(filter(None, (speed_text(speed or None), words)))
         shown = {}
         for condition in kept:
             for name, row in conditions[condition].items():
@@ -147,9 +150,8 @@ class SweepFigures:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None and self._processes is not None:
             self._processes.stop()  # what they have begun stays unfinished
-        folder = self._out / FOLDER
         if self._asked:
-            clean(folder)
+            clean(self._out / FOLDER)
 
     def path(self, name: str) -> Path:
         """The SVG; the PNG lies beside it."""
@@ -186,4 +188,9 @@ class SweepFigures:
                     with contextlib.suppress(OSError):  # a folder that takes no files has none either
                         self.path(name).with_suffix(f".{form}").unlink(missing_ok=True)
                 self.failed[name] = cause(error, LONGEST)
-        return {f"figure_{name}": str(self.path(name)) for name in self._asked if self.path(name).is_file()}
+        drawn = {}
+        for name in self._asked:
+            path = self.path(name)
+            if path.is_file():
+                drawn[f"figure_{name}"] = str(path)
+        return drawn

@@ -6,7 +6,10 @@ import math
 import re
 
 MOST_DECIMALS = 3  # of a percentage
-SPACE, NOBREAK, MINUS, DASH = "\u202f", "\u00a0", "\u2212", "\u2013"  # SPACE: narrow, does not break
+SPACE = "\u202f"  # narrow, does not break
+NOBREAK = "\u00a0"
+MINUS = "\u2212"
+DASH = "\u2013"
 _MINUS = re.compile(r"(?<![\w.=/:-])-(?=\d)")
 _UNIT = re.compile(r"(?<=\d) (?=(?:mm|m/s|ms|µs|s|%|°)(?![\w/]))")
 _BRACKETS = re.compile(r"\[[^\[\]]*\d\]|\bp [<=] ")
@@ -27,19 +30,35 @@ def percent(value: float, low: float = math.nan, high: float = math.nan, *, leas
 
 def relative(value: float) -> str:
     """Such as "-99.1 %", "same", or "-" for NaN."""
-    return "-" if math.isnan(value) else "same" if value == 0 else f"{value:+.3g} %"
+    if math.isnan(value):
+        return "-"
+    if value == 0:
+        return "same"
+    return f"{value:+.3g} %"
 
 
 def duration(seconds: float, exact: bool = False) -> str:
     """A time in a suitable unit: 40.3 µs, 14.2 ms, 2.10 s. exact: without zeros at the end."""
     if not math.isfinite(seconds):
         return "-"
-    factor, unit = (1.0, "s") if seconds >= 1 else (1e3, "ms") if 1e3 * seconds >= 1 else (1e6, "µs")
-    value = factor * seconds
-    return f"{value:g} {unit}" if exact else f"{value:.{0 if value >= 100 else 1 if value >= 10 else 2}f} {unit}"
+    value = 1e6 * seconds
+    unit = "µs"
+    if seconds >= 1:
+        value = seconds
+        unit = "s"
+    elif 1e3 * seconds >= 1:
+        value = 1e3 * seconds
+        unit = "ms"
+    if exact:
+        return f"{value:g} {unit}"
+    decimals = 2 - (value >= 10) - (value >= 100)
+    return f"{value:.{decimals}f} {unit}"
 
 
 def typeset(text: str) -> str:
     """The text with minus signs, dashes, narrow blanks before units, and no line breaks inside intervals."""
-    text = _BRACKETS.sub(lambda match: match[0].replace(" ", NOBREAK), _UNIT.sub(SPACE, _MINUS.sub(MINUS, text)))
-    return DASH if text == "-" else text
+    if text == "-":
+        return DASH
+    text = _MINUS.sub(MINUS, text)
+    text = _UNIT.sub(SPACE, text)
+    return _BRACKETS.sub(lambda match: match[0].replace(" ", NOBREAK), text)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any, Literal
 
 from quadexp.errors import UsageError
@@ -121,7 +121,8 @@ class View:
 
     def of_line(self, facet: Place, line: Place) -> dict[Any, Point]:
         """x -> point, of a line in a panel."""
-        return {place[-1]: point for place, point in self.places.items() if place[:-1] == (*facet, *line)}
+        before = (*facet, *line)
+        return {place[-1]: point for place, point in self.places.items() if place[:-1] == before}
 
     def parts(self) -> dict[str, View]:
         """Name of a file -> the view of one panel, of which it is the heading."""
@@ -155,7 +156,7 @@ class View:
     def _values(self, start: int, end: int) -> list[Place]:
         """The different values of some of the keys, sorted where all are numbers."""
         values = distinct(place[start:end] for place in self.places)
-        if all(is_number(value) for place in values for value in place):
+        if all(map(is_number, chain(*values))):
             return sorted(values)
         return values
 
@@ -266,11 +267,16 @@ def automatic(frame: SweepFrame, y: str = "mean_error", confidence: float = 0.95
         course += [key for key in ("plant", "vehicle") if key in axes]
         axes = [key for key in axes if key not in course]
     x = _longest(frame, axes) if axes else [*who, *course, "seed"][0]
-    who, course, rest = ([key for key in keys if key != x] for keys in (who, course, axes))
+    who = [key for key in who if key != x]
+    course = [key for key in course if key != x]
+    rest = [key for key in axes if key != x]
     if not rest:
         return [_made(frame, "lines", x, who, course, y, confidence)]
-    few = not who and len(frame.values(rest[0])) <= MOST_LINES
-    by, facet = (rest[:1], [*course, *rest[1:]]) if few else (who, [*course, *rest])
+    by = who
+    facet = [*course, *rest]
+    if not who and len(frame.values(rest[0])) <= MOST_LINES:
+        by = rest[:1]
+        facet.remove(*by)
     views = [_made(frame, "lines", x, by, facet, y, confidence)]
     if len(axes) == 2 and all(len(frame.values(key)) > 2 for key in axes):
         views.append(_made(frame, "heat", x, rest, [*who, *course], y, confidence))
@@ -304,7 +310,9 @@ def _made(
 
 def _beside(frame: SweepFrame, keys: Sequence[str]) -> list[str]:
     """What was swept beside these keys; a setting of the fit tells the checkpoints apart."""
-    aside = {"seed", *keys, *(["model"] if any(key.startswith("model.") for key in keys) else [])}
+    aside = {"seed", *keys}
+    if any(key.startswith("model.") for key in keys):
+        aside.add("model")
     return [key for key in frame.swept if key not in aside]
 
 
@@ -329,7 +337,8 @@ def _notes(
     ended = sum(point.ended for point in places.values())
     if y != SUCCESS and ended < trials:
         notes.append(f"{trials - ended} of {trials} flights were not completed: marked k/n where k of n were")
-    if invalid := sum(bool(point.invalid) for point in places.values()):
+    invalid = sum(bool(point.invalid) for point in places.values())
+    if invalid:
         notes.append(f"{count(invalid, 'place')} invalid: settings that contradict each other")
     return notes
 
@@ -348,8 +357,10 @@ def check_metric(frame: SweepFrame, name: str, option: str) -> None:
 
 def checked_keys(frame: SweepFrame, **options: Sequence[str] | None) -> list[list[str]]:
     """The full names of the keys of each option; UsageError for what is no key, or stands twice."""
-    full = [[ALIASES.get(key, key) for key in keys or ()] for keys in options.values()]
-    every = [key for keys in full for key in keys]
+    full = []
+    for keys in options.values():
+        full.append([ALIASES.get(key, key) for key in keys or ()])
+    every = list(chain(*full))
     for key in every:
         if is_metric(key):
             raise UsageError(f"{key}: is a result of a flight, not a setting: it can be --y")

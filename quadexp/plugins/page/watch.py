@@ -34,7 +34,12 @@ class Watch:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         now = self.snapshot()
-        now.state = "finished" if kind is None else "interrupted" if kind is KeyboardInterrupt else f"ended: {error}"
+        if kind is None:
+            now.state = "finished"
+        elif kind is KeyboardInterrupt:
+            now.state = "interrupted"
+        else:
+            now.state = f"ended: {error}"
         if isinstance(error, QuadexpError) and "run the same command to continue" in str(error):
             now.state = "interrupted: run the same command to continue"
         self._write(now)
@@ -48,7 +53,8 @@ class Watch:
         if not self.live.total:
             self.live.before = int(done)
         self.live.total = int(total)
-        if (began := time.monotonic()) >= self._due:
+        began = time.monotonic()
+        if began >= self._due:
             with contextlib.suppress(QuadexpError):  # a full disk ends the sweep, which says so
                 self._write(self.snapshot())
             self._due = began + max(RENEWED, (time.monotonic() - began) / SHARE)

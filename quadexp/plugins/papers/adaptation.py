@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,8 @@ def adaptation_table(flights: Mapping[str, Mapping[str, Flight]]) -> str:
 def _rmse(flight: Flight, low: float, high: float) -> str:
     """RMSE (mm) in a window of time from the change (s)."""
     t = flight.t - change_time(flight)
-    error = position_error(flight)[(t >= low) & (t < high)]
+    inside = (t >= low) & (t < high)
+    error = position_error(flight)[inside]
     if len(error):
         return f"{1e3 * root_mean_square(error):.2f}"
     return "-"
@@ -74,7 +76,7 @@ def adaptation_figure(flights: Mapping[str, Mapping[str, Flight]]) -> Figure:
     """
     figure = Figure(figsize=(4.0 * len(flights) + 0.6, 4.0))
     panels = figure.subplots(1, len(flights), sharey=True, squeeze=False)[0]
-    look = looks([name for by_controller in flights.values() for name in by_controller])
+    look = looks(list(chain(*flights.values())))
     for panel, (plant, by_controller) in zip(panels, flights.items(), strict=True):
         for name, flight in by_controller.items():
             panel.plot(flight.t, 1e3 * position_error(flight), label=name, linewidth=1.3, **look[name].line())

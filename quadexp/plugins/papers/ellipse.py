@@ -81,7 +81,8 @@ class Ellipse(TrajectoryPart):
 
 def _towards_centre(position: np.ndarray) -> np.ndarray:
     """Heading with its derivatives (k, 3) (rad, s) of flat outputs (k, 5, 3), continuous."""
-    (x, x_1, x_2), (y, y_1, y_2) = position[:, :3, 0].T, position[:, :3, 1].T
+    x, x_1, x_2 = position[:, :3, 0].T
+    y, y_1, y_2 = position[:, :3, 1].T
     square = x * x + y * y
     moment = x * y_1 - y * x_1
     square_1 = 2 * (x * x_1 + y * y_1)

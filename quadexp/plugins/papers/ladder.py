@@ -61,7 +61,8 @@ def means_by_place(rows: Rows, first: First, order: Sequence[str] = ()) -> Means
     for s in statistics:
         where = s.plant if first == "plant" else s.plant.partition("/")[2] or "clean"
         label = labels_on[s.plant][s.contestant]
-        places.setdefault((where, courses[s.trajectory, s.setting], s.speed), {})[label] = s
+        place = where, courses[s.trajectory, s.setting], s.speed
+        places.setdefault(place, {})[label] = s
         labels.append(label)
     lines = distinct(place[:2] for place in places)
     in_order = sorted(places, key=lambda place: (lines.index(place[:2]), place[2]))
@@ -94,9 +95,9 @@ def means_figure(means: Means) -> Figure:
     places: dict[Place, Point] = {}
     for label in means.labels:
         for (where, course, speed), by_label in means.places.items():
-            if label not in by_label:
+            s = by_label.get(label)
+            if s is None:
                 continue
-            s = by_label[label]
             point = Point(s.mean, s.low, s.high, s.n, s.n, *s.flown, method=s.interval)
             if s.failures:
                 point = replace(point, mean=math.nan, low=math.nan, high=math.nan)

@@ -33,4 +33,7 @@ def reproduce(
     if run is None:
         raise UsageError(f"reproduce: {name!r} is no benchmark, there is {', '.join(places('benchmarks'))}")
     report = run(data, out, force=force)
-    return Answer(without(report, ("lines",)), report["rows"], [*report["lines"], *([out] if out else [])])
+    lines = report["lines"]
+    if out:
+        lines = [*lines, out]
+    return Answer(without(report, ("lines",)), report["rows"], lines)

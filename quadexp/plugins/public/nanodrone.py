@@ -92,8 +92,7 @@ def read(folder: Path | None) -> Runs:
             break
     else:
         raise UsageError(f"{folder}: has no train/ and test/ of the benchmark ({SOURCE})")
-    parts = [[_run(path) for path in sorted((root / part).glob("*.csv"))] for part in ("train", "test")]
-    runs = Runs(*parts)
+    runs = Runs(_runs(root / "train"), _runs(root / "test"))
     if not (runs.train and runs.test):
         raise UsageError(f"{root}: no CSV files in train/ or in test/ ({SOURCE})")
     tested = {run.digest for run in runs.test}
@@ -103,11 +102,17 @@ def read(folder: Path | None) -> Runs:
     return runs
 
 
+def _runs(folder: Path) -> list[Run]:
+    return [_run(path) for path in sorted(folder.glob("*.csv"))]
+
+
 def _run(path: Path) -> Run:
-    values = np.column_stack(list(open_table(path).read((*STATES, *SPEEDS), []).values()))
+    columns = open_table(path).read((*STATES, *SPEEDS), [])
+    values = np.column_stack(list(columns.values()))
     if len(values) <= STEPS or not np.isfinite(values).all():
         raise DataError(f"{path}: {len(values)} rows, or values that are not finite; a run has more than {STEPS} rows")
-    return Run(path.stem, values[:, : len(STATES)], values[:, len(STATES) :], sha256_of(path.read_bytes()))
+    y, u = np.split(values, [len(STATES)], axis=1)
+    return Run(path.stem, y, u, sha256_of(path.read_bytes()))
 
 
 def errors(runs: Sequence[Run], predictions: Sequence[np.ndarray], *, as_paper: bool = False) -> dict[str, np.ndarray]:
@@ -116,32 +121,40 @@ def errors(runs: Sequence[Run], predictions: Sequence[np.ndarray], *, as_paper: 
     predictions: of each run, (starts, STEPS, 13). as_paper: over all runs laid end to end; see the module."""
     if as_paper:
         rows = np.concatenate([run.y[1 : len(run.starts) + 1] for run in runs])
-        laid = np.concatenate(list(predictions))
-        return _errors(rows, laid)
+        return _errors(rows, np.concatenate(list(predictions)))
     each = [_errors(run.y[1:], predicted) for run, predicted in zip(runs, predictions, strict=True)]
-    return {part: np.mean([error[part] for error in each], axis=0) for part in PARTS}
+    mean = {}
+    for part in PARTS:
+        of_runs = [error[part] for error in each]
+        mean[part] = np.mean(of_runs, axis=0)
+    return mean
 
 
 def _errors(rows: np.ndarray, predicted: np.ndarray) -> dict[str, np.ndarray]:
     """rows: truth, of which row i is compared with step 1 of prediction i. predicted: (n, STEPS, 13)."""
-    errors: dict[str, list[float]] = {part: [] for part in PARTS}
+    errors = {part: np.empty(STEPS) for part in PARTS}
     for step in range(STEPS):
         truth = rows[step:]
         least = min(len(truth), len(predicted))
-        truth, guess = truth[:least], predicted[:least, step]
+        truth = truth[:least]
+        guess = predicted[:least, step]
         for part, columns in PARTS.items():
             if part == "R":
-                errors[part].append(float(rotation_error(truth[:, columns], guess[:, columns]).mean()))
+                distances = rotation_error(truth[:, columns], guess[:, columns])
             else:
-                errors[part].append(float(np.linalg.norm(truth[:, columns] - guess[:, columns], axis=1).mean()))
-    return {part: np.array(values) for part, values in errors.items()}
+                distances = np.linalg.norm(truth[:, columns] - guess[:, columns], axis=1)
+            errors[part][step] = distances.mean()
+    return errors
 
 
 def rotation_error(truth: np.ndarray, guess: np.ndarray) -> np.ndarray:
     """2 atan2(|v|, w) of conj(q) q^, (n,), of quaternions with the scalar last, (n, 4)."""
     scalar = np.sum(truth * guess, axis=1)
-    vector = truth[:, 3:] * guess[:, :3] - guess[:, 3:] * truth[:, :3] - np.cross(truth[:, :3], guess[:, :3])
-    return 2 * np.arctan2(np.linalg.norm(vector, axis=1), scalar)
+    v = truth[:, :3]
+    guess_v = guess[:, :3]
+    vector = truth[:, 3:] * guess_v - guess[:, 3:] * v - np.cross(v, guess_v)
+    size = np.linalg.norm(vector, axis=1)
+    return 2 * np.arctan2(size, scalar)
 
 
 def by_toolbox(runs: Sequence[Run], predictions: Sequence[np.ndarray]) -> dict[str, np.ndarray] | None:
@@ -153,15 +166,15 @@ def by_toolbox(runs: Sequence[Run], predictions: Sequence[np.ndarray]) -> dict[s
     import pandas
 
     names = {"p": "pos", "v": "vel", "R": "rot", "w": "omega"}
-    each: list[Any] = []
+    each: dict[str, list[Any]] = {part: [] for part in names}
     for run, predicted in zip(runs, predictions, strict=True):
-        columns = dict(zip(STATES, run.y[1 : len(predicted) + STEPS].T, strict=True))
-        padded = np.full((len(columns["x"]), STEPS, len(STATES)), np.nan)
+        truth = run.y[1 : len(predicted) + STEPS]
+        columns = dict(zip(STATES, truth.T, strict=True))
+        padded = np.full((len(truth), STEPS, len(STATES)), np.nan)
         padded[: len(predicted)] = predicted
         for step in range(STEPS):
             columns |= {f"{name}_pred_h{step + 1}": padded[:, step, i] for i, name in enumerate(STATES)}
-        each.append(compute_errors(pandas.DataFrame(columns), STEPS))
-    return {
-        part: np.array([np.mean([error[name][step] for error in each]) for step in range(1, STEPS + 1)])
-        for part, name in names.items()
-    }
+        computed = compute_errors(pandas.DataFrame(columns), STEPS)
+        for part, name in names.items():
+            each[part].append([computed[name][step] for step in range(1, STEPS + 1)])
+    return {part: np.mean(of_runs, axis=0) for part, of_runs in each.items()}

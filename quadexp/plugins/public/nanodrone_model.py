@@ -24,7 +24,8 @@ from quadexp.plugins.public.nanodrone import PARTS, PERIOD, STATES, STEPS, Run
 
 GRAVITY = 9.81  # m/s^2
 HOVER = 1700.0  # rad/s, about that of hover; another one scales k and the gains
-SPAN, STRIDE = 30, 4  # samples: of a change of velocity, and between two of them
+SPAN = 30  # samples, of a change of velocity
+STRIDE = 4  # samples, between two of them
 # Rotors of a Crazyflie: front right, back right, back left, front left. Torque of unit thrusts about x, y, z: y_i, -x_i
 # (in arms) and the sense of rotation; a quarter of it, so that t is a difference of mean thrusts.
 TORQUES = np.array([[-1.0, -1.0, 1.0, 1.0], [-1.0, 1.0, 1.0, -1.0], [1.0, -1.0, 1.0, -1.0]]).T / 4
@@ -57,31 +58,37 @@ def inputs(run: Run, speed: float) -> Inputs:
 
 def turning(run: Run, number: int, speed: float) -> Turning:
     """A run as the replay model is fitted to it."""
-    inputs_of_run = inputs(run, speed)
+    _, torque, spin = inputs(run, speed)
+    attitude, velocity = _motion(run)
+    return Turning(run.y[:, PARTS["w"]], attitude, torque[:-1], spin[:-1], velocity, number, PERIOD)
+
+
+def _motion(run: Run) -> tuple[Rotation, np.ndarray]:
+    """Attitude at every sample (k), and mean velocity of every step in body axes (k - 1, 3) (m/s)."""
     attitude = Rotation.from_quat(run.y[:, PARTS["R"]])
     body = attitude.apply(run.y[:, PARTS["v"]], inverse=True)
-    velocity = (body[:-1] + body[1:]) / 2
-    return Turning(
-        run.y[:, PARTS["w"]], attitude, inputs_of_run.torque[:-1], inputs_of_run.spin[:-1], velocity, number, PERIOD
-    )
+    return attitude, (body[:-1] + body[1:]) / 2
 
 
 def fit_force(runs: Sequence[Run]) -> Force:
     """The four constants of the force."""
-    designs, targets = [], []
+    designs = []
+    targets = []
     for run in runs:
-        attitude = Rotation.from_quat(run.y[:, PARTS["R"]])
         velocity = run.y[:, PARTS["v"]]
-        body = attitude.apply(velocity, inverse=True)
+        attitude, mean_velocity = _motion(run)
         half_turn = (attitude[:-1].inv() * attitude[1:]).as_rotvec() / 2
-        axes = (attitude[:-1] * Rotation.from_rotvec(half_turn)).as_matrix()  # in the middle of a step
+        middle = attitude[:-1] * Rotation.from_rotvec(half_turn)  # of a step
+        axes = middle.as_matrix()
         collective = ((run.u[:-1] / HOVER) ** 2).sum(axis=1)
-        drag = -axes * ((body[:-1] + body[1:]) / 2)[:, None, :]
-        step = PERIOD * np.concatenate([axes[:, :, 2:] * collective[:, None, None], drag], axis=2)  # (k, 3, 4)
+        thrust = axes[:, :, 2:] * collective[:, None, None]
+        drag = -axes * mean_velocity[:, None, :]
+        step = PERIOD * np.concatenate([thrust, drag], axis=2)  # (k, 3, 4)
         until = np.concatenate([np.zeros((1, 3, 4)), np.cumsum(step, axis=0)])
         starts = np.arange(0, len(velocity) - SPAN, STRIDE)
-        change = velocity[starts + SPAN] - velocity[starts] + [0.0, 0.0, GRAVITY * SPAN * PERIOD]
-        designs.append((until[starts + SPAN] - until[starts]).reshape(-1, 4))
+        ends = starts + SPAN
+        change = velocity[ends] - velocity[starts] + [0.0, 0.0, GRAVITY * SPAN * PERIOD]
+        designs.append((until[ends] - until[starts]).reshape(-1, 4))
         targets.append(change.reshape(-1))
     constants, _ = solve(np.concatenate(designs), np.concatenate(targets), "huber")
     return Force(float(constants[0]), constants[1:])
@@ -95,22 +102,23 @@ def fit_turning(runs: Sequence[Run], speed: float, *, motors: bool) -> list[Axis
 
 def predicted(run: Run, force: Force, axes: Sequence[AxisModel] | None, speed: float) -> np.ndarray:
     """States after 1 .. STEPS steps from every start of a run, (starts, STEPS, 13). axes: None: rates held."""
-    inputs_of_run, starts = inputs(run, speed), run.starts
-    position, velocity, _, rate = (run.y[starts, columns].copy() for columns in PARTS.values())
-    attitude = Rotation.from_quat(run.y[starts, PARTS["R"]])  # whose products keep the sign of the quaternion
+    thrusts, torque, spin = inputs(run, speed)
+    starts = run.starts
+    position, velocity, quaternion, rate = (run.y[starts, columns] for columns in PARTS.values())
+    attitude = Rotation.from_quat(quaternion)  # whose products keep the sign of the quaternion
     states = np.empty((len(starts), STEPS, len(STATES)))
     for step in range(STEPS):
         now = starts + step
         body = attitude.apply(velocity, inverse=True)
         change = np.zeros_like(rate)
         for axis, model in enumerate(axes or ()):
-            torque = inputs_of_run.torque[now] if model.motors else None
-            columns = regressors(axis, torque, inputs_of_run.spin[now], body)
-            change[:, axis] = model.acceleration(columns, inputs_of_run.spin[now], rate[:, axis])
+            columns = regressors(axis, torque[now] if model.motors else None, spin[now], body)
+            change[:, axis] = model.acceleration(columns, spin[now], rate[:, axis])
         turn = PERIOD * (rate + PERIOD * change / 2)
         push = -force.drag * body
-        push[:, 2] += force.thrust * inputs_of_run.thrusts[now].sum(axis=1)
-        acceleration = (attitude * Rotation.from_rotvec(turn / 2)).apply(push) - [0.0, 0.0, GRAVITY]
+        push[:, 2] += force.thrust * thrusts[now].sum(axis=1)
+        middle = attitude * Rotation.from_rotvec(turn / 2)  # of the step
+        acceleration = middle.apply(push) - [0.0, 0.0, GRAVITY]
         position = position + PERIOD * velocity + PERIOD**2 / 2 * acceleration
         velocity = velocity + PERIOD * acceleration
         attitude = attitude * Rotation.from_rotvec(turn)

@@ -23,7 +23,9 @@ from quadexp.progress import Progress
 from quadexp.report.table import Table
 from quadexp.writer import check_output, write_folder
 
-HELD, BLIND, REPLAY = "rates held", "blind to the motors", "replay model"
+HELD = "rates held"
+BLIND = "blind to the motors"
+REPLAY = "replay model"
 CONSTANTS = {HELD: "4", BLIND: "8 + 4", REPLAY: "11 + 4"}
 SUBMITTED = REPLAY
 SAME = 1e-9  # largest difference from the toolbox's own figures that rounding makes
@@ -57,7 +59,8 @@ def reproduce(folder: Path | None, out: Path | None = None, *, force: bool = Fal
         toolbox = None
         for name, axes in models.items():
             predictions = [predicted(run, push, axes, speed) for run in runs.test]
-            by_run, by_paper = errors(runs.test, predictions), errors(runs.test, predictions, as_paper=True)
+            by_run = errors(runs.test, predictions)
+            by_paper = errors(runs.test, predictions, as_paper=True)
             rows.append({"model": name, "constants": CONSTANTS[name], "runs": by_run, "paper": by_paper})
             if name == SUBMITTED:
                 toolbox = by_toolbox(runs.test, predictions)
@@ -107,11 +110,9 @@ def _constants(push: Force, models: Mapping[str, Sequence[AxisModel] | None]) ->
 
 
 def _lines(report: Mapping[str, Any], runs: Runs) -> list[str]:
-    samples = [sum(len(run.y) for run in part) for part in runs]
-    lines = [
-        f"{len(runs.train)} training flights ({samples[0]} samples), {len(runs.test)} test flights ({samples[1]})",
-        "",
-    ]
+    trained = sum(len(run.y) for run in runs.train)
+    tested = sum(len(run.y) for run in runs.test)
+    lines = [f"{len(runs.train)} training flights ({trained} samples), {len(runs.test)} test flights ({tested})", ""]
     lines += _table(report, "paper", f"as the paper: error after {STEPS} steps / sum over 1 .. {STEPS}").lines()
     lines += ["", *_table(report, "runs", "as the toolbox: each flight by itself, then their mean").lines()]
     checked = "nonlinear_benchmarks computes the same" if report["toolbox"] else "nonlinear_benchmarks is not installed"
@@ -122,7 +123,10 @@ def _table(report: Mapping[str, Any], way: str, title: str) -> Table:
     """way: "paper", with the published rows, or "runs"."""
     cells = []
     for name, parts in PUBLISHED.items() if way == "paper" else ():
-        cells.append([f"{name} (published)", "", *(f"{parts[part][2]:.4f} / {parts[part][3]:.2f}" for part in PARTS)])
+        errors_of_parts = []
+        for _, _, last, total in parts.values():
+            errors_of_parts.append(f"{last:.4f} / {total:.2f}")
+        cells.append([f"{name} (published)", "", *errors_of_parts])
     for row in report["rows"]:
         values = (f"{row[f'{way}_{part}_h{STEPS}']:.4f} / {row[f'{way}_{part}_sum']:.2f}" for part in PARTS)
         cells.append([row["model"], row["constants"], *values])
@@ -135,12 +139,15 @@ def _submission(report: Mapping[str, Any]) -> str:
     row = next(row for row in report["rows"] if row["model"] == SUBMITTED)
     sums = [f"- SimErr_{name} = {row[f'runs_{part}_sum']:.6f} {UNITS[part]}"
             for part, name in zip(PARTS, ("pos", "vel", "rot", "omega"), strict=True)]  # fmt: skip
-    files = [f"- {name}: {digest}" for part in ("train", "test") for name, digest in report[part].items()]
-    tables = (_table(report, "runs", "Each flight by itself, then their mean"), _table(report, "paper", "As the paper"))
+    files = []
+    for part in ("train", "test"):
+        files += [f"- {name}: {digest}" for name, digest in report[part].items()]
+    runs = _table(report, "runs", "Each flight by itself, then their mean")
+    paper = _table(report, "paper", "As the paper")
     return "\n".join([
         "# NanoDrone: submission", "",
         f"Model: {SUBMITTED}, {CONSTANTS[SUBMITTED]} constants (submission.json). quadexp {__version__}.", "",
         *sums, "", "## Which data were looked at", "", LOOKED_AT, "", CLAIM, "",
-        *(line for table in tables for line in (table.markdown(), "")),
+        runs.markdown(), "", paper.markdown(), "",
         "## SHA-256 of the files", "", *files, "",
     ])  # fmt: skip

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -77,10 +78,9 @@ class BelievedWorld:
         mpc.set_disturbance(np.zeros(6))  # refuses a model without one
         solution = mpc.prediction[0]
         n = vehicle.n_rotors
-        form = {"targets": targets, "parameters": mpc.parameters.size, "width": solution.shape[1]}
         update = None if estimator is None else estimator.update
         sizes = memory_sizes(vehicle, settings.nodes, estimator)
-        function = cached_function(
+        self._function = cached_function(
             mpc.backend,
             enter_function,
             vehicle,
@@ -89,9 +89,10 @@ class BelievedWorld:
             settings.nodes,
             settings.samples,
             kept=tuple(sizes.items()),
-            **form,
+            targets=targets,
+            parameters=mpc.parameters.size,
+            width=solution.shape[1],
         )
-        self._function = function
         self.memory = Memory("BelievedWorld", sizes)
         self.numbers = np.zeros(N_BELIEF)
         self.stated = np.zeros(N_BELIEF)
@@ -142,21 +143,22 @@ class BelievedWorld:
     def before(self, inputs: InputArrays, state: np.ndarray) -> tuple[list[Call], np.ndarray]:
         """What stands before the plan: it leaves the reference in the plan's frame where the MPC reads it, and the
         state (13,) in the array that is returned; the MPC is given the rest."""
-        result_places, (X, U), (X_ref, U_ref) = self._left, self._mpc.reference, self._horizon
-        places = {
-            **self._places,
-            "x": state,
-            "reading": inputs.specific_force,
-            "fresh": inputs.fresh,
-            "speed": inputs.rotor_speed,
-        }
+        result_places = self._left
+        X, U = self._mpc.reference
+        X_ref, U_ref = self._horizon
+        places = dict(self._places)
+        places["x"] = state
+        places["reading"] = inputs.specific_force
+        places["fresh"] = inputs.fresh
+        places["speed"] = inputs.rotor_speed
         calls = [Call("window", X_ref, self.rows, U_ref)]
         calls.append(call(connected(self._function, places, result_places, self.memory)))
         calls.append(Call("finite", source=result_places["squares"]))
         if self._air_scale is not None:
             calls.append(copy(self._air_scale, self.numbers[10:]))
         if not self._in_place:
-            calls += [copy(X[:, :N_STATE], result_places["X_in"]), copy(U, result_places["U_in"])]
+            calls.append(copy(X[:, :N_STATE], result_places["X_in"]))
+            calls.append(copy(U, result_places["U_in"]))
         return calls, result_places["x_in"]
 
     def after(self, thrust: np.ndarray) -> tuple[list[Call], np.ndarray]:
@@ -221,7 +223,8 @@ def enter_function(
         shapes["fresh"] = 2
         shapes["settings"] = update.size_in("settings")
         shapes["delays"] = 6
-    shapes |= {"theta": parameters} if update is not None or model is not None else {}
+    if update is not None or model is not None:
+        shapes["theta"] = parameters
     remembered = named_symbols(ca.MX, dict(kept))
     a = named_symbols(ca.MX, shapes) | {NOW + name: value for name, value in remembered.items()}
     next_values: dict[str, Any] = {}
@@ -249,8 +252,11 @@ def enter_function(
         believed = (model, theta, disturbance, wind, air_scale, vehicle)
         moved, changes, forces = held_targets(states, known, ca.vertsplit(air, 6), ticks, *believed)
         air = ca.vertcat(*forces)
-        steps = [(c, d - c) for c, d in zip(changes, changes[1:], strict=False)]  # between nodes: from one to the next
-        U_in = U_in + ca.horzcat(*(c + d * (i / samples) for c, d in steps for i in range(samples)))
+        added = []
+        for change, following in pairwise(changes):  # linear between nodes
+            for i in range(samples):
+                added.append(change + (following - change) * (i / samples))
+        U_in = U_in + ca.horzcat(*added)
         within = [moved[i // samples] for i in range(rows)]  # between nodes nothing weighs states
         attitude = ca.horzcat(*(m[:4] for m in within))
         rate = ca.horzcat(*(m[4:] for m in within))
@@ -267,11 +273,10 @@ def enter_function(
     high = (1 - ROUNDING) * vehicle.thrust_max
     results["low"] = scale * low * ca.DM.ones(n)
     results["high"] = scale * high * ca.DM.ones(n)
-    squares = ca.sumsqr(x_in) + ca.sumsqr(X_in) + ca.sumsqr(U_in)
     moving = ca.vertcat(change @ (a["since"] - a["period"]).T, ca.DM.zeros(4, nodes + 1))
     moving = ca.vertcat(moving, ca.repmat(change, 1, nodes + 1), ca.DM.zeros(width - VELOCITY.stop, nodes + 1))
     results["X_moved"] = ca.if_else(ca.norm_2(change) > MOVED, a["X"] - moving, a["X"])
-    results["squares"] = squares
+    results["squares"] = ca.sumsqr(x_in) + ca.sumsqr(X_in) + ca.sumsqr(U_in)
     results |= {NEXT + name: value for name, value in next_values.items()}
     return named_function("believed_world", a, results)
 
@@ -280,11 +285,11 @@ def _estimated(
     vehicle: Vehicle, a: dict[str, ca.MX], kept: dict[str, ca.MX], update: ca.Function
 ) -> tuple[ca.MX, dict[str, ca.MX]]:
     """The belief (11,) by an estimator, and what is to be remembered of commands and estimates."""
-    (read, turning), coefficient = ca.vertsplit(a["fresh"]), vehicle.thrust_coefficient
+    read, turning = ca.vertsplit(a["fresh"])
+    coefficient = vehicle.thrust_coefficient
     speeds = [] if coefficient is None else [coefficient * a["speed"] ** 2, turning]
     now, mean, next_values = delivered_thrust(kept, kept["sent"], a["delays"], *speeds)
-    arguments = [kept["estimate"], a["x"], a["reading"], read, now, mean, a["theta"], a["settings"]]
-    estimate, belief = update(*arguments)
+    estimate, belief = update(kept["estimate"], a["x"], a["reading"], read, now, mean, a["theta"], a["settings"])
     nothing = ca.DM([0.0] * (N_BELIEF - 2) + [1.0, 1.0])
     flown = ca.fmax(kept["flown"], read)
     next_values["estimate"] = ca.if_else(flown, estimate, kept["estimate"])

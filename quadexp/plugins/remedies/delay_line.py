@@ -40,7 +40,8 @@ def delayed(values: Any, kept: Any, age: float, period: float) -> tuple[Any, Any
     whole = int(age / period + 1e-9)
     kept = ca.vertcat(kept[n:], values)
     share = age / period - whole
-    return share * kept[:n] + (1 - share) * kept[n : 2 * n], kept
+    output = share * kept[:n] + (1 - share) * kept[n : 2 * n]
+    return output, kept
 
 
 class DelayLine:
@@ -62,7 +63,8 @@ class DelayLine:
 
     def before(self, values: np.ndarray) -> list[Call]:
         """Takes the values that are found there, (n,), and leaves `then`."""
-        return [call(connected(self._function, {"values": values}, {"output": self.output}, self.memory))]
+        transition = connected(self._function, {"values": values}, {"output": self.output}, self.memory)
+        return [call(transition)]
 
 
 def delay_line_function(size: int, age: float, period: float) -> ca.Function:

@@ -58,7 +58,9 @@ def indi_function(vehicle: Vehicle, keys: INDI) -> ca.Function:
     root = ca.sqrt(ca.fmax(delivered, 0))  # sqrt(c_t) W
     now = ca.vertcat(rate, root)
     filtered = b[0] * now + memory[:, 0]  # transposed direct form
-    memory_next = ca.horzcat(b[1] * now - a[1] * filtered + memory[:, 1], b[2] * now - a[2] * filtered)
+    first = b[1] * now - a[1] * filtered + memory[:, 1]
+    second = b[2] * now - a[2] * filtered
+    memory_next = ca.horzcat(first, second)
 
     G = ca.DM(vehicle.allocation)
     J = ca.DM(vehicle.inertia_matrix)
@@ -148,8 +150,10 @@ class INDI(LayerPart):
     def remembers(self, inputs: Inputs) -> dict[str, int]:
         """See LayerPart: the low pass, what it gave last, rates that have been given."""
         size = 3 + inputs.vehicle.n_rotors
-        late = {"rates": kept_size(3, inputs.about.late, inputs.period)} if inputs.about.late else {}
-        return {"low_pass": 2 * size, "filtered": size, **late}
+        sizes = {"low_pass": 2 * size, "filtered": size}
+        if inputs.about.late:
+            sizes["rates"] = kept_size(3, inputs.about.late, inputs.period)
+        return sizes
 
     def start(self, inputs: Inputs, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
         """See LayerPart: as if rates and thrusts of the start had always been there."""
@@ -162,8 +166,9 @@ class INDI(LayerPart):
     def after(self, vehicle: Vehicle, inputs: Inputs, memory: Any, before: Any) -> dict[str, Any]:
         """The thrusts of `indi_function`."""
         rate = inputs.state[RATE]
+        late = inputs.about.late
         results = {}
-        if late := inputs.about.late:
+        if late:
             rate, results["rates"] = delayed(rate, memory.rates, late, inputs.period)
         low_pass = ca.reshape(memory.low_pass, -1, 2)
         law = indi_function(vehicle, self)

@@ -65,7 +65,8 @@ def _predictor(vehicle: Vehicle, keys: L1, period: float) -> ca.Function:
         R = rotation_matrix(state[ATTITUDE])
         w = state[RATE]
         linear = R @ (along_z(wrench[0] / m) + y[:3]) + ca.DM([0, 0, -vehicle.gravity])
-        return ca.vertcat(linear, ca.inv(J) @ (wrench[1:] + y[3:] - ca.cross(w, J @ w)))
+        torque = wrench[1:] + y[3:] - ca.cross(w, J @ w)
+        return ca.vertcat(linear, ca.inv(J) @ torque)
 
     moved = ca.vertcat(x[VELOCITY] - x_last[VELOCITY], x[RATE] - x_last[RATE])
     poles = np.repeat([keys.velocity_pole, keys.rate_pole], 3)
@@ -170,12 +171,10 @@ class L1(LayerPart):
             raise UsageError(
                 "adaptive.unmatched=true: this controller cannot be given a force; adaptive.unmatched=false"
             )
-        lag = self.motor_lag
-        dead_time = self.dead_time
         about = Circumstances(
             controller.control_period,
-            known_delay(dead_time, controller, "dead_time"),
-            known_delay(lag, controller, "known_lag"),
+            known_delay(self.dead_time, controller, "dead_time"),
+            known_delay(self.motor_lag, controller, "known_lag"),
             speeds=False,
             compiled=resolve(controller.backend) == "compiled",
         )

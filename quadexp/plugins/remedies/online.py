@@ -115,7 +115,8 @@ def update_function(
     """
     law = law or Law()
     n = vehicle.n_rotors
-    shapes = {"x": N_STATE, "f": 3, "u": n, "path": 6, "belief": len(prior_belief(adapting))}
+    n_belief = len(prior_belief(adapting))
+    shapes = {"x": N_STATE, "f": 3, "u": n, "path": 6, "belief": n_belief}
     shapes["known_theta"] = 0 if known is None else len(known.theta)
     shapes["variance"] = 1
     shapes["decay"] = 1
@@ -130,15 +131,18 @@ def update_function(
     sample = f - along_z(ca.sum1(u) / vehicle.mass) - y[:3]
     if known is not None:
         sample -= ca.densify(known.function(z, known_theta)[0])[:3]
-    sigma = rotation_matrix(x[ATTITUDE]).T @ (x[VELOCITY] - path[3:] + rate * (x[POSITION] - path[:3]))
+    apart = x[POSITION] - path[:3]
+    sigma = rotation_matrix(x[ATTITUDE]).T @ (x[VELOCITY] - path[3:] + rate * apart)
 
-    beliefs = split(belief, (block.size for block in adapting.blocks))
+    beliefs = split(belief, [block.size for block in adapting.blocks])
     theta = ca.MX(prior)
     innovation = [ca.MX(0)] * 3
     updated = []
     for block, row, before in zip(adapting.blocks, rows, beliefs, strict=True):
-        arguments = before, row.T, sample[block.axis], variance, decay, tracking * sigma[block.axis]
-        after, weights, innovation[block.axis] = (_compiled_block if compiled else _block)(block, law, *arguments)
+        update = _compiled_block if compiled else _block
+        i = block.axis
+        after, weights, error = update(block, law, before, row.T, sample[i], variance, decay, tracking * sigma[i])
+        innovation[i] = error
         updated.append(after)
         theta[block.at.tolist()] = weights
     outputs = {"new_belief": ca.vertcat(*updated), "theta": theta, "innovation": ca.vertcat(*innovation)}
@@ -176,7 +180,8 @@ def _block(
     s = ca.dot(phi, spread) + noise
     gain = spread / s
     crossed = gain @ spread.T
-    P = ca.tril2symm(ca.tril(P - crossed - crossed.T + s * (gain @ gain.T)))
+    P = P - crossed - crossed.T + s * (gain @ gain.T)
+    P = ca.tril2symm(ca.tril(P))
     b = b + gain * error
     if law.name == "composite":
         b += push * (P @ phi)
@@ -188,7 +193,8 @@ def _compiled_block(block: Block, law: Law, *arguments: Expression) -> tuple[Exp
     h = len(block.at)
     dense = ca.Sparsity.dense
     chosen = {"RLS": law.name == "rls", "FITC": law.fitc, "COMPOSITE": law.name == "composite"}
-    name = "_".join(["adapt", str(h), *(word.lower() for word, on in chosen.items() if on)])
+    parts = ["adapt", str(h)]
+    parts += [word.lower() for word, on in chosen.items() if on]
     sizes = {"SIZE": h} | {word: int(on) for word, on in chosen.items()}
     shapes = {"belief": block.size, "row": h, "sample": 1, "variance": 1, "decay": 1, "push": 1}
     inputs = {word: dense(size) for word, size in shapes.items()}
@@ -196,11 +202,16 @@ def _compiled_block(block: Block, law: Law, *arguments: Expression) -> tuple[Exp
     inputs["mean"] = dense(h)
     inputs["signal"] = dense(1)
     results = {"next": dense(block.size), "weights": dense(h), "innovation": dense(1)}
-    kernel = handwritten(name, BLOCK, sizes, inputs, results)
-    return tuple(kernel(*arguments, ca.DM(block.root), ca.DM(block.mean), block.signal_variance))
+    kernel = handwritten("_".join(parts), BLOCK, sizes, inputs, results)
+    outputs = kernel(*arguments, ca.DM(block.root), ca.DM(block.mean), block.signal_variance)
+    return tuple(outputs)
 
 
 def prior_belief(adapting: Adapting) -> np.ndarray:
     """The belief without data: b = 0 and P = I of every block, one after the other, matrices by columns."""
-    sizes = [len(block.at) for block in adapting.blocks]
-    return np.concatenate([part for h in sizes for part in (np.zeros(h), np.eye(h).ravel())])
+    parts = []
+    for block in adapting.blocks:
+        h = len(block.at)
+        parts.append(np.zeros(h))
+        parts.append(np.eye(h).ravel())
+    return np.concatenate(parts)

@@ -106,7 +106,8 @@ class AdaptingController(PredictiveController):
         arguments = self._update.arguments
         results = self._update.results
         period = self.control_period * adapt.every
-        arguments["variance"][...], arguments["decay"][...] = adapt.noise**2, math.exp(-period / adapt.memory)
+        arguments["variance"][...] = adapt.noise**2
+        arguments["decay"][...] = math.exp(-period / adapt.memory)
         arguments["tracking"][...] = period * adapt.tracking
         arguments["tracking_rate"][...] = adapt.tracking_rate
         if fixed is not None:

@@ -38,11 +38,10 @@ class DeliveredThrust:
     thrust, mean: see there. memory: what is remembered, a part of the instant's.
     """
 
-    def __init__(
-        self, vehicle: Vehicle, period: float, dead_time: float = 0.0, lag: float = 0.0, *, backend: str = "interpreted"
-    ) -> None:
+    def __init__(self, vehicle: Vehicle, period: float, dead_time: float = 0.0, lag: float = 0.0) -> None:
         delays = Delays(period, dead_time, lag)
-        self._function, self._pending = cached_function(backend, _delivered_function, vehicle, delays), delays.pending
+        self._function = cached_function("interpreted", _delivered_function, vehicle, delays)
+        self._pending = delays.pending
         self.memory = Memory("DeliveredThrust", sizes_of([self._function]) | {"sent": vehicle.n_rotors})
         self.thrust, self.mean = np.zeros((2, vehicle.n_rotors))
 
@@ -54,7 +53,8 @@ class DeliveredThrust:
         """Leaves `thrust` and `mean`."""
         places = {"speed": inputs.rotor_speed, "turning": inputs.rotor_speed_valid}
         results = {"thrust": self.thrust, "mean": self.mean}
-        return [call(connected(self._function, places, results, self.memory))]
+        transition = connected(self._function, places, results, self.memory)
+        return [call(transition)]
 
     def after(self, command: np.ndarray) -> list[Call]:
         """Remembers the command that is found there, (n,) (N)."""
@@ -62,14 +62,19 @@ class DeliveredThrust:
 
 
 def _delivered_function(vehicle: Vehicle, delays: Delays) -> ca.Function:
-    n, coefficient = vehicle.n_rotors, vehicle.thrust_coefficient
-    a = named_symbols(ca.SX, {f"memory_{name}": size for name, size in kept_sizes(n, delays).items()})
-    speeds = {} if coefficient is None else named_symbols(ca.SX, {"speed": n, "turning": 1})
-    measured = [coefficient * speeds["speed"] ** 2, speeds["turning"]] if speeds else []
-    kept = {name.removeprefix("memory_"): value for name, value in a.items()}
+    n = vehicle.n_rotors
+    coefficient = vehicle.thrust_coefficient
+    sizes = kept_sizes(n, delays)
+    a = named_symbols(ca.SX, {f"memory_{name}": size for name, size in sizes.items()})
+    kept = {name: a[f"memory_{name}"] for name in sizes}
+    measured = []
+    if coefficient is not None:
+        speeds = named_symbols(ca.SX, {"speed": n, "turning": 1})
+        measured = [coefficient * speeds["speed"] ** 2, speeds["turning"]]
+        a |= speeds
     thrust, mean, next_values = delivered_thrust(kept, kept["sent"], ca.DM(delays.numbers), *measured)
     results = {"thrust": thrust, "mean": mean} | {f"next_{name}": value for name, value in next_values.items()}
-    return named_function("delivered", a | speeds, results)
+    return named_function("delivered", a, results)
 
 
 class SentCommands:
@@ -84,7 +89,9 @@ class SentCommands:
         self._weigh: dict[int, BufferedFunction] = {}  # by the number of spans; their buffers are this object's alone
         self.memory = Memory("SentCommands", worked={"commands": self.values})
         flat = self.values.reshape(-1)
-        self._older, self._newer, self._newest = flat[:-rotors], flat[rotors:], flat[-rotors:]
+        self._older = flat[:-rotors]
+        self._newer = flat[rotors:]
+        self._newest = flat[-rotors:]
 
     def reset(self, thrust: np.ndarray) -> None:
         """Begin a flight: this command, (n,) (N), has been sent for a long time."""
@@ -98,14 +105,16 @@ class SentCommands:
     def weights(self, spans: np.ndarray, dead_time: float, lag: float) -> np.ndarray:
         """Weights (s, m) on the commands of the mean thrusts over spans (s, 2) (s): beginning and end, 0 is now, before
         the command of now is sent. A span of no length has the thrust at its time."""
-        if len(spans) not in self._weigh:
-            self._weigh[len(spans)] = BufferedFunction(weights_function(len(self.values), self._period, len(spans)))
-        function = self._weigh[len(spans)]
-        arguments, weights = function.arguments, function.results["weights"]
-        arguments["spans"][...] = spans
-        arguments["delays"][...] = dead_time, lag
+        count = len(spans)
+        function = self._weigh.get(count)
+        if function is None:
+            function = BufferedFunction(weights_function(len(self.values), self._period, count))
+            self._weigh[count] = function
+        function.arguments["spans"][...] = spans
+        function.arguments["delays"][...] = dead_time, lag
         function()
-        return weights.reshape(len(spans), -1)[:, ::-1].copy()
+        weights = function.results["weights"].reshape(count, -1)
+        return weights[:, ::-1].copy()
 
 
 def command_weights(count: int, period: float, span: Any, dead_time: Any, lag: Any) -> Any:
@@ -120,8 +129,8 @@ def command_weights(count: int, period: float, span: Any, dead_time: Any, lag: A
         return x + tau * ca.expm1(-x / tau)
 
     begin, end = span
-    mean = (integral(end - acts) - integral(begin - acts)) / (end - begin)
     since = end - acts
+    mean = (integral(since) - integral(begin - acts)) / (end - begin)
     at_end = ca.if_else(since > INSTANT, -ca.expm1(-since / tau), 0)  # what begins at this instant has not acted yet
     passed = ca.if_else(end - begin > INSTANT, mean, at_end)
     passed = ca.vertcat(passed[:-1], 1)
@@ -132,5 +141,8 @@ def command_weights(count: int, period: float, span: Any, dead_time: Any, lag: A
 def weights_function(count: int, period: float, spans: int) -> ca.Function:
     """`command_weights` of so many spans at once: spans (2, k), delays: dead time and lag -> weights (m, k)."""
     span, delays = symbols(ca.SX, spans=(2, spans), delays=2)
-    each = [command_weights(count, period, ca.vertsplit(column), delays[0], delays[1]) for column in ca.horzsplit(span)]
-    return ca.Function("weights", [span, delays], [ca.horzcat(*each)], ["spans", "delays"], ["weights"])
+    dead_time, lag = ca.vertsplit(delays)
+    weights = []
+    for column in ca.horzsplit(span):
+        weights.append(command_weights(count, period, ca.vertsplit(column), dead_time, lag))
+    return ca.Function("weights", [span, delays], [ca.horzcat(*weights)], ["spans", "delays"], ["weights"])

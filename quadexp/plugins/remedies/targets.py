@@ -18,6 +18,8 @@ reference. With weights on attitude and thrust an MPC only reaches zero error wi
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from quadexp.compile.symbolic import ca
@@ -63,20 +65,22 @@ def held_targets(
         sure = ca.fmin(1, size / (LEAST * vehicle.gravity))
         towards = sure * force / size + (1 - sure) * axis
         towards = towards / ca.sqrt(ca.sumsqr(towards) + SMALL**2)
-        turn = unit(ca.vertcat(1 + ca.dot(axis, towards), ca.cross(axis, towards)))
+        turn = ca.vertcat(1 + ca.dot(axis, towards), ca.cross(axis, towards))
+        turn = unit(turn)
         torque = inertia @ disturbance[3:] + air[3:]
         change = allocate @ ca.vertcat(vehicle.mass * size - thrust, -torque)
         return [product(turn, x[ATTITUDE]), 2 * turn[1:], change]
 
     def features(x: Expression, q: Expression, u: Expression, wind: Expression) -> list[Expression]:
-        still = ca.vertcat(rotation_matrix(x[ATTITUDE]).T @ x[VELOCITY], x[RATE])
-        blown = ca.vertcat(rotation_matrix(q).T @ (x[VELOCITY] - wind), x[RATE], u)
-        return [still, blown]
+        still = rotation_matrix(x[ATTITUDE]).T @ x[VELOCITY]
+        blown = rotation_matrix(q).T @ (x[VELOCITY] - wind)
+        return [ca.vertcat(still, x[RATE]), ca.vertcat(blown, x[RATE], u)]
 
     def difference(x: Expression, q: Expression, y0: Expression, y1: Expression, scale: Expression) -> Expression:
         y1 = scale * y1
         force = rotation_matrix(q) @ y1[:3] - rotation_matrix(x[ATTITUDE]) @ y0[:3]
-        return limited(ca.vertcat(force, y1[3:] - y0[3:]), -most, most)
+        torque = y1[3:] - y0[3:]
+        return limited(ca.vertcat(force, torque), -most, most)
 
     last = len(states) - 1
     if model is not None:
@@ -93,24 +97,30 @@ def held_targets(
         for k in range(last + 1):
             before = max(i for i in exact if i <= k)
             after = min(i for i in exact if i >= k)
-            share = 0 if k in exact else (times[k] - times[before]) / (times[after] - times[before])
+            span = times[after] - times[before]
+            share = 0 if k in exact else (times[k] - times[before]) / span
             air.append(exact[before] + share * (exact[after] - exact[before]))
-    results = [as_scalars(turned)(x, u, d, disturbance) for x, u, d in zip(states, inputs, air, strict=True)]
+    attitudes = []
+    turns = []
+    changes = []
+    for x, u, d in zip(states, inputs, air, strict=True):
+        q, turn, change = as_scalars(turned)(x, u, d, disturbance)
+        attitudes.append(q)
+        turns.append(turn)
+        changes.append(change)
     moved = []
     limit = TURNING * vehicle.rate_max
-    for x, (q, _, _), slope in zip(states, results, _slopes([turn for _, turn, _ in results], times), strict=True):
+    for x, q, slope in zip(states, attitudes, _slopes(turns, times), strict=True):
         turning = rotation_matrix(q).T @ slope
         moved.append(ca.vertcat(q, x[RATE] + limited(turning, -limit, limit)))
-    return moved, [change for _, _, change in results], air
+    return moved, changes, air
 
 
 def _slopes(values: list[Expression], times: list[Expression]) -> list[Expression]:
     """Derivatives at uneven times: of the parabola through three neighbours, at the ends of the line through two."""
-    d = [(b - a) for a, b in zip(times, times[1:], strict=False)]
-    secants = []
-    for a, b, h in zip(values, values[1:], d, strict=False):
-        secants.append((b - a) / h)
+    steps = [b - a for a, b in pairwise(times)]
+    secants = [(b - a) / h for (a, b), h in zip(pairwise(values), steps, strict=True)]
     inside = []
-    for before, after, before_h, after_h in zip(secants, secants[1:], d, d[1:], strict=False):
-        inside.append((before * after_h + after * before_h) / (before_h + after_h))
+    for (before, after), (h, next_h) in zip(pairwise(secants), pairwise(steps), strict=True):
+        inside.append((before * next_h + after * h) / (h + next_h))
     return [secants[0], *inside, secants[-1]]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from quadexp.plugins.page.document import Section, document
 from quadexp.plugins.page.draw import figure_of
 from quadexp.plugins.page.report.answer import answer
 from quadexp.plugins.page.report.panels import swept_section
-from quadexp.plugins.page.report.sections import LOOKED_AT, Page, numbers, scoreboard
+from quadexp.plugins.page.report.sections import Page, numbers, scoreboard
 from quadexp.plugins.page.report.source import Comparison, read_comparison
 from quadexp.writer import check_output, write_text
 
@@ -44,13 +45,17 @@ def make_report(
     comparison = read_comparison(results, baseline=baseline)
     swept, left_out, views = swept_section(comparison)
     words = ["quadexp", "report", comparison.place(comparison.root), "--out", comparison.place(out), "--force"]
-    words += ["--baseline", baseline] if baseline else []
-    words += ["--figures", comparison.place(Path(figures))] if figures else []
+    if baseline:
+        words += ["--baseline", baseline]
+    if figures:
+        words += ["--figures", comparison.place(Path(figures))]
     page, left_out = render(comparison, swept, shlex.join(words), left_out)
     write_text(out, page, force=force)
-    parts = {name: part for view in views for name, part in view.parts().items()} if figures else {}
-    drawn = {name: figure_of(replace(part, width=COLUMN)) for name, part in parts.items()}
-    paths = {name: Path(figures or "") / f"{file_name(name)}.pdf" for name in drawn}
+    saved = {}
+    if figures:
+        for name, part in chain.from_iterable(view.parts().items() for view in views):
+            path = Path(figures) / f"{file_name(name)}.pdf"
+            saved[name] = save_figure(figure_of(replace(part, width=COLUMN)), path)
     answered = answer(comparison)
     checked = comparison.checked
     return {
@@ -60,7 +65,7 @@ def make_report(
         "note": answered.note,
         "checked": checked._asdict() | {"text": checked.text(), "lines": checked.lines()},
         "left_out": left_out,
-        "figures": {name: save_figure(figure, paths[name]) for name, figure in drawn.items()},
+        "figures": saved,
     }
 
 
@@ -73,14 +78,16 @@ def render(comparison: Comparison, swept: Section, command: str, left_out: Seque
         short.append(replace(block, tables=tables))
     left_out = [*_left_out(comparison, whole), *left_out]
     parts = Page(comparison, replace(whole, blocks=short), swept, command, tuple(left_out))
-    sections = [brought("sections", name)(parts) for name in places("sections")]
-    for name, section in zip(places("sections"), sections, strict=True):
+    sections = []
+    for name, place in places("sections").items():
+        section = brought("sections", name)(parts)
         if not isinstance(section, Section):
-            what = type(section).__name__
-            raise UsageError(f"section {name}: {places('sections')[name]} returns a {what}, not a Section")
+            raise UsageError(f"section {name}: {place} returns a {type(section).__name__}, not a Section")
+        if section.blocks:
+            sections.append(section)
     page = document(
         f"{comparison.root.resolve().name} – quadexp report",
-        [section for section in sections if section.blocks],
+        sections,
         answer=answer(comparison),
         board=scoreboard(comparison),
         looks=comparison.look,
@@ -94,8 +101,10 @@ def render(comparison: Comparison, swept: Section, command: str, left_out: Seque
 def _left_out(comparison: Comparison, whole: Section) -> list[str]:
     """What is not on the page for its size, one entry each."""
     entries = []
-    if (lines := max((len(next(iter(b.tables.values())).rows) for b in whole.blocks), default=0)) > MOST_LINES:
+    lines = max((len(next(iter(b.tables.values())).rows) for b in whole.blocks), default=0)
+    looked = len(comparison.sampled())
+    if lines > MOST_LINES:
         entries.append(f"{lines - MOST_LINES} of {lines} lines of the tables")
-    if (looked := len(comparison.sampled(LOOKED_AT))) < len(comparison.rows):
+    if looked < len(comparison.rows):
         entries.append(f"settings of flights beyond {looked} of {len(comparison.rows)}, evenly chosen")
     return entries

@@ -46,7 +46,9 @@ class Answer:
 
 def answer(comparison: Comparison) -> Answer:
     """The answer for any results: with or without a baseline, a winner, or a completed flight."""
-    question = ALONE if len(comparison.order) < 2 else QUESTION if comparison.of_the_air else WHICH
+    question = QUESTION if comparison.of_the_air else WHICH
+    if len(comparison.order) < 2:
+        question = ALONE
     parts = (_flown(comparison), _gain(comparison), _in_time(comparison), _sure(comparison), _note(comparison))
     return Answer(question, *map(typeset, parts))
 
@@ -74,8 +76,11 @@ def _gain(comparison: Comparison) -> str:
     verdict = comparison.verdict
     metric = metric_of(comparison.metric).title
     factor, unit = shown(comparison.metric)
-    errors = {label: factor * comparison.geometric_mean(label) for label in comparison.order}
-    errors = {label: error for label, error in errors.items() if math.isfinite(error)}
+    errors = {}
+    for label in comparison.order:
+        error = factor * comparison.geometric_mean(label)
+        if math.isfinite(error):
+            errors[label] = error
     if not errors:
         flew = any(comparison.success(label).ended for label in comparison.order)
         why = "No two of them completed the same flight" if flew else "No flight was completed"
@@ -95,7 +100,8 @@ def _verdicts(comparison: Comparison) -> list[str]:
     """Who has the least error in each plant and vehicle."""
     texts = []
     for verdict in comparison.verdicts.values():
-        if text := verdict.text():
+        text = verdict.text()
+        if text:
             texts.append(_capital(f"{text}."))
     hidden = len(texts) - MOST_COUNTS
     if hidden > 1:
@@ -204,7 +210,8 @@ def _note(comparison: Comparison) -> str:
     parts = [
         f"Geometric means over {over}; {comparison.confidence:.0%} intervals, p by a paired permutation test (Holm)."
     ]
-    if others := len(comparison.rows) - len(comparison.main_rows):
+    others = len(comparison.rows) - len(comparison.main_rows)
+    if others:
         worlds = [_world(world) for world in comparison.by_world][1:]
         named = listed(worlds if len(worlds) <= MOST_COUNTS else [*worlds[:MOST_COUNTS], "others"])
         parts.append(f"Not in these means, and in their own sentences: {count(others, 'flight')} in {named}.")

@@ -38,9 +38,11 @@ def swept_section(comparison: Comparison) -> tuple[Section, list[str], list[View
         for view in views:
             name = view.file_name.replace("_", " ")
             drawn = figure_html(figure_of(view), f"{view.y_label}, {name}. {view.caption}")
-            if (room := room - len(drawn)) > 0:
+            room -= len(drawn)
+            if room > 0:
                 figures.append(drawn)
             else:
                 left_out.append(f"{view.y_label} {name}, which `quadexp plot` draws")
-        blocks += [Block(views[0].y_label, metric, figures=figures)] if figures else []
+        if figures:
+            blocks.append(Block(views[0].y_label, metric, figures=figures))
     return Section("swept", "Swept", "What was swept", SWEPT, blocks), left_out, main

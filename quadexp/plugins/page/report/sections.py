@@ -7,6 +7,7 @@ import math
 import shlex
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,7 +33,6 @@ from quadexp.report.text import number, probability, shown, speed_text
 
 WORST = 9  # rows that fit on a screen
 EACH = 2  # flights of one contestant among the worst, of those that were completed
-LOOKED_AT = 500  # flights whose settings are compared
 MOST_VALUES = 12  # of a setting
 ENDS = ("failed", "solver_failed", "lost", "left_corridor", "infeasible", "ok")  # the worst first
 
@@ -78,20 +78,27 @@ def scoreboard(comparison: Comparison) -> Table:
         mean = factor * comparison.geometric_mean(label)
         own_mean = factor * comparison.geometric_mean(label, over_own=True)
         beyond = flights.ended > (verdict.common if mean == mean else 0)
-        role = "best" if verdict.best and label == verdict.least else ""
-        role = role or ("baseline" if label == base else "bound" if label in comparison.bounds else "")
+        role = ""
+        if verdict.best and label == verdict.least:
+            role = "best"
+        elif label == base:
+            role = "baseline"
+        elif label in comparison.bounds:
+            role = "bound"
         ended = flights.text()
         cells = [Cell(label, (role,), best=role == "best", mark=label)]
-        cells += [Cell(ended) if flights.ended == flights.trials else Cell(lost=ended)]
-        cells += [Cell(f"{number(mean)} {unit}", (f"own {number(own_mean)} of {flights.ended}" if beyond else "",))]
+        cells.append(Cell(ended) if flights.ended == flights.trials else Cell(lost=ended))
+        own = f"own {number(own_mean)} of {flights.ended}" if beyond else ""
+        cells.append(Cell(f"{number(mean)} {unit}", (own,)))
         if base:
             change, limits = _change(pooled)
             p = probability(pooled.p_holm) if pooled and pooled.testable else ""
-            cells += [Cell(change or "-", (f"{limits} {p}".strip(),))]
+            cells.append(Cell(change or "-", (f"{limits} {p}".strip(),)))
         times = (duration(comparison.time(label, which)) for which in ("median", "p99"))
         lines.append([*cells, *map(Cell, times)])
     heads = ["controller", "completed", metric_of(comparison.metric).title]
-    heads += [f"against {base}"] if base else []
+    if base:
+        heads.append(f"against {base}")
     return Table([*heads, "step, median", "step, 99 %"], lines)
 
 
@@ -119,8 +126,7 @@ def _number_block(comparison: Comparison, metric: str) -> Block:
     """The error table, with the counts of completed flights in its heading, and the paired differences."""
     statistics = comparison.statistics.of(metric)
     marks = comparison.look
-    options: Any = {"baseline": comparison.baseline, "confidence": comparison.confidence}
-    table = error_table(comparison.rows, metric, **options)
+    table = error_table(comparison.rows, metric, baseline=comparison.baseline, confidence=comparison.confidence)
     heads: list[Any] = []
     for i, (name, flown) in enumerate(zip(table.columns, table.rows[0], strict=True)):
         if flown and i:
@@ -128,7 +134,8 @@ def _number_block(comparison: Comparison, metric: str) -> Block:
         else:
             heads.append(Cell(name))
     tables: dict[str, Table] = {metric: replace(table, columns=heads, rows=table.rows[1:], notes=())}
-    if (differences := comparison_table(statistics)) is not None:
+    differences = comparison_table(statistics)
+    if differences is not None:
         tables[f"{metric}-differences"] = differences
     tests = Tests(Groups(comparison.rows, comparison.baseline, (metric,)), 0, comparison.confidence)
     return Block(metric_of(metric).title, metric, tables=tables, notes=table_notes(statistics, tests))
@@ -141,7 +148,9 @@ def worst_rows(comparison: Comparison) -> list[Row]:
     def badness(row: Row) -> tuple[Any, ...]:
         order = ENDS.index(row["outcome"]) if row["outcome"] in ENDS else 0
         error = row["max_error"]
-        return order, -(error if error is not None and math.isfinite(error) else 0.0)
+        if error is None or not math.isfinite(error):
+            error = 0.0
+        return order, -error
 
     chosen: list[Row] = []
     conditions: dict[str, list[Condition]] = {}
@@ -174,12 +183,14 @@ def worst_section(page: Page) -> Section:
         if flight is not None and "ref_p_x" in flight.columns:
             largest = f"{number(1e3 * row['max_error'])} mm"
             if "thinned" not in flight.metadata:
-                when = f"at {flight.t[int(np.argmax(position_error(flight)))]:.1f} s"
+                k = int(np.argmax(position_error(flight)))
+                when = f"at {flight.t[k]:.1f} s"
         condition = condition_of(row)
         rate = "" if condition.speed is None else f" at {speed_text(condition.speed)}"
         title = f"{comparison.course_title(condition)}{rate}, seed {int(row['seed'])}"
-        why = ": ".join(filter(None, (row["outcome"].replace("_", " "), row.get("cause"))))
-        lost = "" if row["outcome"] == "ok" else why
+        lost = ""
+        if row["outcome"] != "ok":
+            lost = ": ".join(filter(None, (row["outcome"].replace("_", " "), row.get("cause"))))
         lines.append([Cell(label, mark=label), Cell(title, lost=lost), Cell(largest, (when,))])
     commands = [*filter(None, map(comparison.command, rows))]
     blocks = [Block(tables={"worst": Table(["controller", "flight", "largest error"], lines)})]
@@ -190,21 +201,24 @@ def worst_section(page: Page) -> Section:
 def origin_section(page: Page) -> Section:
     """Where every number comes from, and the commands that make it again."""
     comparison = page.comparison
-    looked_at = map(comparison.flight_record, comparison.sampled(LOOKED_AT))
+    looked_at = map(comparison.flight_record, comparison.sampled())
     flights = [record for record in looked_at if record is not None]
     about = facts(comparison, flights)
     if page.left_out:
         about.append(("Left out", "; ".join(page.left_out)))
     grids = [tuple(tuple(map(comparison.anywhere, texts)) for texts in grid) for grid in comparison.grids]
     models = {row["model"] for row in comparison.rows if row["model"]}
-    sentences = [
-        comparison.anywhere(f"model={quoted(model)}") for model in models if len(models) == 1 and "+" not in model
-    ]
+    sentences = []
+    if len(models) == 1:
+        (model,) = models
+        if "+" not in model:
+            sentences.append(comparison.anywhere(f"model={quoted(model)}"))
     # With other paths they are other cells, which the folder of these does not take.
     place = comparison.place(comparison.root) + ("_again" if sentences or grids != comparison.grids else "")
     sweep = sweep_command(grids, place, [*comparison.conf, *sentences])
     blocks = [Block(facts=about, code=[*filter(None, (sweep, page.command))])]
-    if rows := settings(flights):
+    rows = settings(flights)
+    if rows:
         tables = {"settings": Table(["setting", "value"], rows)}
         blocks.append(Block("Settings of the flights, those that differ first", tables=tables, folded=True))
     test = " ".join(f"{note}." for note in comparison.tests.notes)
@@ -218,19 +232,27 @@ def facts(comparison: Comparison, flights: Sequence[Record]) -> list[tuple[str, 
     about = [flight.get("provenance", {}) for flight in flights]
     git = [written.get("git") or {} for written in about]
     commits = {f"{g['commit'][:12]}{' with changes' if g.get('dirty') else ''}" for g in git if g.get("commit")}
-    machines = {", ".join(str(written[k]) for k in ("cpu", "platform") if written.get(k)) for written in about} - {""}
+    machines = set()
+    for written in about:
+        names = [str(written[k]) for k in ("cpu", "platform") if written.get(k)]
+        if names:
+            machines.add(", ".join(names))
     models = {f"{f['model']}, sha256 {f.get('model_sha256', '')}" for f in flights if f.get("model")}
     created = comparison.record.get("provenance", {}).get("created", "")
     versions = ", ".join(f"{name} {version}" for name, version in versions_of(comparison.rows).items())
     texts = brought("services", "margin_texts")
-    loops = ((flight.get("controller", ""), texts.margin_line(flight.get("margins"))) for flight in flights if texts)
+    loops = []
+    for flight in flights:
+        line = texts.margin_line(flight.get("margins")) if texts else ""
+        if line:
+            loops.append(("Loop", f"{flight.get('controller', '')}: {line}"))
     entries = [
         ("Results", f"{len(comparison.rows)} flights, sha256 {comparison.digest}"),
         ("Files", " ".join(filter(None, (f"{comparison.checked.text()}.", *comparison.checked.lines())))),
         ("Seeds", ", ".join(map(str, sorted({int(row["seed"]) for row in comparison.rows})))),
         ("Made", ", commit ".join(filter(None, (created, ", ".join(sorted(commits)))))),
         ("Machine", "; ".join(sorted(machines))),
-        *(("Loop", line) for line in distinct(f"{name}: {line}" for name, line in loops if line)),
+        *distinct(loops),
         *(("Checkpoint", model) for model in sorted(models)),
         ("Versions", versions),
     ]
@@ -239,14 +261,22 @@ def facts(comparison: Comparison, flights: Sequence[Record]) -> list[tuple[str, 
 
 def settings(flights: Sequence[Record]) -> list[list[str]]:
     """A line a setting with its values in order of appearance; those that differ between flights first."""
-    stated = (pair for flight in flights for pair in flat(flight.get("config", {})).items())
-    values = grouped((key, value if isinstance(value, str) else json.dumps(value)) for key, value in stated)
+    stated = []
+    for flight in flights:
+        for key, value in flat(flight.get("config", {})).items():
+            stated.append((key, value if isinstance(value, str) else json.dumps(value)))
+    values = grouped(stated)
     different = {}
     for key, texts in values.items():
         if set(texts) != {"null"}:
             different[key] = distinct(texts)
-    lines = sorted(different.items(), key=lambda item: len(item[1]) == 1 and len(values[item[0]]) == len(flights))
-    return [[key, ", ".join(t[:MOST_VALUES] + ["…"] * (len(t) > MOST_VALUES))] for key, t in lines]
+    lines = []
+    for key in sorted(different, key=lambda key: len(different[key]) == 1 and len(values[key]) == len(flights)):
+        shown_values = different[key][:MOST_VALUES]
+        if len(different[key]) > MOST_VALUES:
+            shown_values.append("…")
+        lines.append([key, ", ".join(shown_values)])
+    return lines
 
 
 def sweep_command(grids: Sequence[Grid], out: str, others: Sequence[str] = ()) -> str:
@@ -254,11 +284,14 @@ def sweep_command(grids: Sequence[Grid], out: str, others: Sequence[str] = ()) -
     if len(grids) == 1:
         words = []
         for texts in grids[0]:
-            key, _, first = texts[0].partition("=")
-            words.append(f"{key}={','.join([first, *(text.partition('=')[2] for text in texts[1:])])}")
+            key = texts[0].partition("=")[0]
+            values = [text.partition("=")[2] for text in texts]
+            words.append(f"{key}={','.join(values)}")
     else:
-        named = {text for grid in grids for texts in grid for text in texts if text.startswith("experiment=")}
-        words = sorted(named) if len(named) == 1 else []
+        texts_of_all = chain(*chain(*grids))
+        words = distinct(text for text in texts_of_all if text.startswith("experiment="))
+        if len(words) > 1:
+            return ""
     if words:
         return shlex.join(["quadexp", "evaluate", *others, "--sweep", *words, "--out", out])
     return ""

@@ -54,6 +54,7 @@ AIR = {  # baseline -> controllers that are the same but for what they know of t
 }
 PATHS = ("model", "plant.model", "trajectory.path", "wind.path")  # keys of a flight that name a file or folder
 BASELINES = ("nominal_mpc", "static_feedback")  # in this order, unless given
+LOOKED_AT = 500  # flights whose settings are compared
 
 
 @dataclass(frozen=True)
@@ -134,9 +135,11 @@ class Comparison:
     def by_world(self) -> dict[World, dict[str, Statistic]]:
         """Plant and vehicle -> label -> comparison with the baseline over all conditions there; the main one first."""
         worlds = dict.fromkeys((self.world, *self.worlds))
-        return {
-            world: {s.label: s for s in pooled(self.tests, self.groups.worlds[world], self.metric)} for world in worlds
-        }
+        by_world = {}
+        for world in worlds:
+            statistics = pooled(self.tests, self.groups.worlds[world], self.metric)
+            by_world[world] = {s.label: s for s in statistics}
+        return by_world
 
     @cached_property
     def groups(self) -> Groups:
@@ -214,8 +217,10 @@ class Comparison:
     @property
     def of_the_air(self) -> bool:
         """Whether the rival differs from the baseline by what it knows of the air, and by nothing else."""
-        known = AIR.get(self.contestants[self.reference].controller, ()) if self.reference and self.rival else ()
-        return bool(known) and self.contestants[self.rival].controller in known
+        if not (self.reference and self.rival):
+            return False
+        alike = AIR.get(self.contestants[self.reference].controller, ())
+        return self.contestants[self.rival].controller in alike
 
     @cached_property
     def _flown(self) -> dict[Contestant, Flights]:
@@ -265,7 +270,10 @@ class Comparison:
     @property
     def conf(self) -> list[str]:
         """The user's configuration folders as words of a command."""
-        return [word for folder in self.record.get("conf", ()) for word in ("--conf", folder)]
+        words = []
+        for folder in self.record.get("conf", ()):
+            words += ["--conf", folder]
+        return words
 
     def anywhere(self, text: str) -> str:
         """An override that means the same in any folder: with an absolute path where it names a file."""
@@ -287,9 +295,9 @@ class Comparison:
             return str(path.absolute())
         return path.name
 
-    def sampled(self, most: int) -> list[dict[str, Any]]:
-        """At most so many rows, evenly chosen."""
-        return self.rows[:: max(1, -(-len(self.rows) // most))]
+    def sampled(self) -> list[dict[str, Any]]:
+        """At most LOOKED_AT rows, evenly chosen."""
+        return self.rows[:: max(1, -(-len(self.rows) // LOOKED_AT))]
 
     def time(self, label: str, which: str = "median") -> float:
         """Time of the control step, s: median over its flights of their median or p99."""
@@ -304,8 +312,10 @@ class Comparison:
     def period(self, label: str) -> float:
         """Time between two commands, s; NaN if no flight tells."""
         row = next((r for r in self.main_rows if self.label(r) == label and r["outcome"] != "failed"), None)
-        record = self.flight_record(row) if row else None
-        rate = ((record or {}).get("config", {}).get("controller") or {}).get("rate")
+        if row is None:
+            return math.nan
+        config = (self.flight_record(row) or {}).get("config", {})
+        rate = (config.get("controller") or {}).get("rate")
         return 1 / rate if rate else math.nan
 
     def flight_record(self, row: Row) -> dict[str, Any] | None:
@@ -323,7 +333,6 @@ class Comparison:
             flight = read_flight(CellStore(self.root).path(row["key"]), check=False)
             if len(flight) > 1:
                 return flight
-            return None
         return None
 
 

@@ -133,7 +133,9 @@ class BladeElementPlant(RotorSpeedPlant):
     def reset(self) -> None:
         """Begin a flight: time zero, rotors at the speed of hover, nothing changed yet."""
         self._pending = list(self.schedule)
-        self._payload, self._drag_scale, self._lift_scale = 0.0, 1.0, np.ones(self.vehicle.n_rotors)
+        self._payload = 0.0
+        self._drag_scale = 1.0
+        self._lift_scale = np.ones(self.vehicle.n_rotors)
         super().reset()
         self._apply_changes()
 

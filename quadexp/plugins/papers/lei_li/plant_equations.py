@@ -79,7 +79,8 @@ class BladeElementModel:
         thrust_coefficient = parameters[-1 - self.vehicle.n_rotors : -1]
         if self.effects.thrust_limits:
             u = limited(u, self.vehicle.thrust_min, self.vehicle.thrust_max)
-        w = ca.fmax(ca.sqrt(ca.fmax(u, 0) / thrust_coefficient), max(self.effects.rotor_speed_min, STANDING))
+        w = ca.sqrt(ca.fmax(u, 0) / thrust_coefficient)
+        w = ca.fmax(w, max(self.effects.rotor_speed_min, STANDING))
         if self.effects.rotor_speed_max is not None:
             w = ca.fmin(w, self.effects.rotor_speed_max)
         return ca.vertcat(w, parameters[-1])

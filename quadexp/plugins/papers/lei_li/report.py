@@ -68,7 +68,8 @@ def draw(rows: Rows, out: Path) -> Drawn:
     title = "Example 1, rectangle at 5 m/s" if trajectories[0] == "rectangle" else "Example 2, circle"
     first = {name: flights[0] for name, flights in by_controller.items() if flights}
     figures = {"example_path": path_figure(first, title), "example_errors": running_mean_figure(first, title)}
-    if identified := by_controller["rls_feedback"]:
+    identified = by_controller["rls_feedback"]
+    if identified:
         tables["identified"] = identified_table(identified)
         figures["example_induced_velocity"] = induced_velocity_figure(identified[0], f"{title}: rls_feedback")
         figures["example_parameters"] = parameter_figure(identified, f"{title}: identified coefficients")
@@ -153,7 +154,8 @@ def identified_table(flights: Sequence[Flight]) -> str:
     flights: of one case, with identification; a clip is a sample on which a value in use was held at its bound.
     """
     truth = _truth(flights[0])
-    times = [t for t in IDENTIFIED_AT if t <= min(flight.t[-1] for flight in flights) + 1e-9]
+    end = min(flight.t[-1] for flight in flights)
+    times = [t for t in IDENTIFIED_AT if t <= end + 1e-9]
     lines = []
     for name in THETA:
         cells = []
@@ -210,8 +212,9 @@ def running_mean_figure(flights: Mapping[str, Flight], title: str) -> Figure:
     position, attitude = figure.subplots(1, 2)
     for name, look in looks(list(flights)).items():
         flight = flights[name]
+        count = np.arange(1, len(flight) + 1)
         for panel, error in ((position, position_error(flight)), (attitude, flight["error_eta"])):
-            panel.plot(flight.t, np.cumsum(error) / np.arange(1, len(flight) + 1), label=name, **look.line())
+            panel.plot(flight.t, np.cumsum(error) / count, label=name, **look.line())
     position.set_ylabel(r"running mean of $\|e_\xi\|$ (m)", parse_math=True)
     attitude.set_ylabel(r"running mean of $\|e_\eta\|$ (rad)", parse_math=True)
     position.set(title="position", xlabel="time (s)")

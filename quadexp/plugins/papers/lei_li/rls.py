@@ -86,9 +86,8 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
         through = ca.substitute(ca.jacobian(force[2], induced), coefficients, used)
         gain_regressors = ca.SX(regressors)
         gain_regressors[2, C_LA] += through @ equation.derivative(induced, used[C_LA]) / vehicle.mass
-    regressors, gain_regressors = ca.substitute(
-        [regressors, gain_regressors], [induced], [safe_newton(equation, ITERATIONS)]
-    )
+    solution = safe_newton(equation, ITERATIONS)
+    regressors, gain_regressors = ca.substitute([regressors, gain_regressors], [induced], [solution])
 
     results = {}
     errors = []
@@ -97,7 +96,8 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
         direction = gain_regressors[i, at].T
         theta = inputs[f"theta_{axis}"]
         P = inputs[f"P_{axis}"]
-        reset = (1 - forgetting) * P / ca.repmat(inputs[f"prior_{axis}"], 1, len(at))
+        prior = ca.repmat(inputs[f"prior_{axis}"], 1, len(at))
+        reset = (1 - forgetting) * P / prior
         P = P @ ca.inv_minor(forgetting * ca.DM.eye(len(at)) + reset)
         P = (P + P.T) / 2
         spread = P @ direction
@@ -112,7 +112,7 @@ def rls_step_function(vehicle: Vehicle, *, gauss_newton: bool = False) -> ca.Fun
     thetas = [results[f"new_theta_{axis}"] for axis in AXES]
     results["raw"] = _combine(thetas, weight, lift_weight)
     results["error"] = ca.vertcat(*errors)
-    results["induced"] = safe_newton(equation, ITERATIONS)
+    results["induced"] = solution
     results["regressors"] = ca.densify(regressors)
     results["weight"] = weight
     return named_function("rls_step", inputs, named(results, ca.cse([*results.values()])))
@@ -122,7 +122,8 @@ def _combine(thetas: Sequence[Expression], weight: Expression, lift_weight: Expr
     """theta (5,) from the three axes, C_d0 by (25) and C_la by (26): beta_x = weight, beta_la,z = lift_weight."""
     x, y, z = thetas
     profile_drag = weight * x[0] + (1 - weight) * y[0]
-    lift_slope = lift_weight * z[0] + (1 - lift_weight) * (weight * x[1] + (1 - weight) * y[1])
+    horizontal = weight * x[1] + (1 - weight) * y[1]
+    lift_slope = lift_weight * z[0] + (1 - lift_weight) * horizontal
     return ca.vertcat(profile_drag, lift_slope, x[2], y[2], z[1])
 
 
@@ -178,7 +179,8 @@ class Identification(RLSSettings, BladeKeys):
         update_function."""
         first = part(BladeCoefficients, self)
         update = update_function(vehicle, first, part(RLSSettings, self), self.change_threshold)
-        results = update.call({**sample, **{NOW + name: value for name, value in known.items()}})
+        before = {NOW + name: value for name, value in known.items()}
+        results = update.call({**sample, **before})
         return {name: results[NEXT + name] for name in known}
 
 
@@ -191,22 +193,26 @@ def recursion(
     samples: v (k, 3), w (k, n), y (k, 3), see rls_step_function; finite. initial: theta_0 (the paper starts from half
     of the true values).
     """
-    begin = {NOW + name: value for name, value in remembered(initial, settings).items()}
+    start = remembered(initial, settings)
+    arguments = {NOW + name: value for name, value in start.items()}
     function = update_function(vehicle, initial, settings)
     count = len(samples["v"])
-    every = function.mapaccum("rls", count, list(begin), [name.replace(NOW, NEXT, 1) for name in begin])
-    results = every.call(begin | {name: values.T for name, values in samples.items()} | {"read": np.ones((1, count))})
+    every = function.mapaccum("rls", count, list(arguments), [NEXT + name for name in start])
+    arguments |= {name: values.T for name, values in samples.items()}
+    arguments["read"] = np.ones((1, count))
+    results = every.call(arguments)
     return {name.removeprefix(NEXT): np.array(values).reshape(-1, count).T for name, values in results.items()}
 
 
 def standard_errors(kept: Mapping[str, np.ndarray], settings: RLSSettings) -> np.ndarray:
     """Standard errors of `raw`, (k, 5), where the readings have the assumed deviation. kept: of `recursion`."""
-    P_x, P_y, P_z = (kept[f"P_{axis}"].reshape(-1, len(at), len(at)) for axis, at in AXES.items())
-    b = kept["weight"][:, :, None]
+    x, y, z = (kept[f"P_{axis}"][:, :: len(at) + 1].T for axis, at in AXES.items())  # the diagonals
+    b = kept["weight"][:, 0]
     c = settings.lift_weight
-    horizontal = b**2 * P_x + (1 - b) ** 2 * P_y
-    lift = c**2 * P_z[:, 0, 0] + (1 - c) ** 2 * horizontal[:, 1, 1]
-    variance = np.stack([horizontal[:, 0, 0], lift, P_x[:, 2, 2], P_y[:, 2, 2], P_z[:, 1, 1]], axis=1)
+    profile_drag = b**2 * x[0] + (1 - b) ** 2 * y[0]
+    horizontal = b**2 * x[1] + (1 - b) ** 2 * y[1]
+    lift_slope = c**2 * z[0] + (1 - c) ** 2 * horizontal
+    variance = np.stack([profile_drag, lift_slope, x[2], y[2], z[1]], axis=1)
     return np.sqrt(np.maximum(variance, 0.0))
 
 
@@ -221,7 +227,8 @@ def spread(initial: BladeCoefficients, settings: RLSSettings, at: Sequence[int])
     """The diagonal of P_0 of an axis."""
     if settings.relative_std is None:
         return np.full(len(at), settings.covariance)
-    return (settings.relative_std * np.maximum(np.abs(initial.parameters()[list(at)]), 1e-3)) ** 2
+    size = np.abs(initial.parameters()[list(at)])
+    return (settings.relative_std * np.maximum(size, 1e-3)) ** 2
 
 
 def remembered(initial: BladeCoefficients, settings: RLSSettings) -> dict[str, np.ndarray]:
@@ -259,10 +266,11 @@ def update_function(
     arguments["lift_weight"] = settings.lift_weight
     step = rls_step_function(vehicle, gauss_newton=settings.gauss_newton).call(arguments)
     next_values = {name: step[f"new_{name}"] for name in kept if f"new_{name}" in step}
-    used = limited(step["raw"], *map(ca.DM, bounds(initial, settings))) if settings.clip else step["raw"]
-    next_values["raw"] = step["raw"]
+    raw = step["raw"]
+    used = limited(raw, *map(ca.DM, bounds(initial, settings))) if settings.clip else raw
+    next_values["raw"] = raw
     next_values["used"] = used
-    next_values["clips"] = kept["clips"] + (used != step["raw"])
+    next_values["clips"] = kept["clips"] + (used != raw)
     next_values["samples"] = kept["samples"] + 1
     next_values["weight"] = step["weight"]
     if change_threshold is not None:
@@ -278,7 +286,8 @@ def update_function(
     turns = ca.mmin(a["w"]) >= SLOWEST
     counts = ca.logic_and(a["read"], turns)
     results = {NEXT + name: value for name, value in kept.items()}
-    results |= {NEXT + name: ca.if_else(counts, ca.vec(value), kept[name]) for name, value in next_values.items()}
+    for name, value in next_values.items():
+        results[NEXT + name] = ca.if_else(counts, ca.vec(value), kept[name])
     results[f"{NEXT}skipped"] = kept["skipped"] + ca.logic_and(a["read"], ca.logic_not(turns))
     results |= {name: step[name] for name in ("error", "regressors", "induced")}
     return named_function("rls_update", a, results)

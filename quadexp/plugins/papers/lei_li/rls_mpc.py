@@ -88,9 +88,10 @@ class IdentifyingController(PredictiveController):
         step = super().control_step(inputs, state)
         kept = self.memory.of_next
         clips = np.zeros(1)
-        identify = call(connected(self._identify, places_of(inputs, state), {"clips": clips}, self.memory))
-        calls = [identify, copy(self.mpc.parameters.reshape(-1), kept["used"])]
-        calls += [*step.calls, copy(kept["sent"], step.command)]
+        identify = connected(self._identify, places_of(inputs, state), {"clips": clips}, self.memory)
+        calls = [call(identify), copy(self.mpc.parameters.reshape(-1), kept["used"])]
+        calls += step.calls
+        calls.append(copy(kept["sent"], step.command))
         logged = (*step.logged, kept["used"], clips, kept["reopened"])
         return step._replace(calls=calls, logged=logged, memory=(*step.memory, self.memory, self._model))
 

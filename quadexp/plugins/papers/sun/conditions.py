@@ -161,8 +161,11 @@ def conditions(rows: Iterable[Row]) -> dict[str, dict[str, Condition]]:
     """Controller (with its variant's remedies and sensors) -> world -> condition; both in the order of the tables."""
     groups = grouped((_flown_by(row), row) for row in rows)
     names = [*(name for name in PUBLISHED if name in groups), *(name for name in groups if name not in PUBLISHED)]
-    worlds = {name: grouped((world_of(row), row) for row in groups[name]) for name in names}
-    return {name: {world: Condition.of(of[world]) for world in in_order(of)} for name, of in worlds.items()}
+    by_name = {}
+    for name in names:
+        worlds = grouped((world_of(row), row) for row in groups[name])
+        by_name[name] = {world: Condition.of(worlds[world]) for world in in_order(worlds)}
+    return by_name
 
 
 def in_order(worlds: Iterable[str]) -> list[str]:

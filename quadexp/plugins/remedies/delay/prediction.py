@@ -97,17 +97,20 @@ class Prediction(KnownDelay):
         """The prediction. Until `time` has passed since the start, the measured state is that of the start."""
         about = inputs.about
         residual = inputs.residual or no_residual(vehicle)
-        if not (parts := self._parts(about)):
+        parts = self._parts(about)
+        if not parts:
             return {}
         elapsed = memory.since * about.period
         late = ca.fmin(self.time, elapsed)
         begun = self._times(about, parts, self.time)
-        times = ca.if_else(elapsed < self.time, self._times(about, parts, late), begun, True)
+        begins = self._times(about, parts, late)
+        times = ca.if_else(elapsed < self.time, begins, begun, True)
         dt = times[:parts]
         weights = ca.reshape(times[parts:], -1, parts)
         commands = ca.vertcat(memory.commands[vehicle.n_rotors :], memory.sent)
         force, torque, wind, scale, _ = ca.vertsplit(memory.believed, [0, 3, 6, 9, 10, 11])
-        push = ca.vertcat(force / vehicle.mass, ca.inv(ca.DM(vehicle.inertia_matrix)) @ torque)
+        spin = ca.inv(ca.DM(vehicle.inertia_matrix)) @ torque
+        push = ca.vertcat(force / vehicle.mass, spin)
         predict = prediction(vehicle, residual, parts, self._count(about))
         history = ca.reshape(commands, vehicle.n_rotors, -1)
         now = predict(inputs.state, history, weights, dt, inputs.theta, wind, push, scale)
@@ -117,9 +120,11 @@ class Prediction(KnownDelay):
     def _times(self, about: Circumstances, parts: int, late: Any) -> Any:
         """How long each part of the time acts (parts,), and the weights of commands in it (m parts,)."""
         before = ca.DM(np.arange(parts - 1, -1, -1) * STEP)  # from the end of the prediction
-        ends, starts = (ca.fmin(limit, late + about.ahead) - about.ahead for limit in (before, before + STEP))
+        ends = ca.fmin(before, late + about.ahead) - about.ahead
+        starts = ca.fmin(before + STEP, late + about.ahead) - about.ahead
         spans = ca.horzcat(-starts, -ends).T
-        weights = weights_function(self._count(about), about.period, parts)(spans, [about.dead_time, about.lag])
+        weigh = weights_function(self._count(about), about.period, parts)
+        weights = weigh(spans, [about.dead_time, about.lag])
         return ca.vertcat(starts - ends, ca.vec(weights[::-1, :]))
 
     def _parts(self, about: Circumstances) -> int:
@@ -134,9 +139,12 @@ class Prediction(KnownDelay):
     def around(self, controller: Any) -> Predicting:
         """See Remedy: the controller behind a prediction of its measurements by its own model."""
         settings = getattr(innermost(controller), "settings", None)
-        configured = [getattr(settings, name, 0.0) for name in ("dead_time", "known_lag")]
-        stated = (self.dead_time, self.motor_lag)
-        dead_time, lag = (usual if value is None else value for value, usual in zip(stated, configured, strict=True))
+        dead_time = self.dead_time
+        if dead_time is None:
+            dead_time = getattr(settings, "dead_time", 0.0)
+        lag = self.motor_lag
+        if lag is None:
+            lag = getattr(settings, "known_lag", 0.0)
         return Predicting(controller, self, dead_time, lag)
 
 
@@ -145,9 +153,14 @@ class Predicting(Layer):
 
     def __init__(self, wrapped: Controller, part: Prediction, dead_time: float, lag: float) -> None:
         model = getattr(innermost(wrapped), "mpc", None)
-        ahead = dead_time if model is None else 0.0  # an MPC predicts the dead time itself
-        residual = no_residual(wrapped.vehicle) if model is None else model.residual
-        theta = residual.theta if model is None else model.parameters
+        if model is None:
+            ahead = dead_time
+            residual = no_residual(wrapped.vehicle)
+            theta = residual.theta
+        else:
+            ahead = 0.0  # an MPC predicts the dead time itself
+            residual = model.residual
+            theta = model.parameters
         observer: Any = next((layer for layer in layers(wrapped) if hasattr(layer, "numbers")), None)
         about = Circumstances(wrapped.control_period, dead_time, lag, ahead=ahead)
         believed = NO_BELIEF if observer is None else observer.numbers
@@ -167,10 +180,12 @@ class Predicting(Layer):
     def _later(self, window: Window) -> Window:
         """The reference then; states and inputs are asked for then."""
         powers = [self.about.ahead**i / math.factorial(i) for i in range(len(window.position))]
-        position, yaw = (
-            np.stack(
-                [sum(p * row for p, row in zip(powers, derivatives[i:], strict=False)) for i in range(len(derivatives))]
-            )
-            for derivatives in (window.position, window.yaw)
-        )
-        return window._replace(position=position, yaw=yaw)
+
+        def later(derivatives: np.ndarray) -> np.ndarray:
+            moved = np.zeros_like(derivatives)
+            for i in range(len(derivatives)):
+                for power, derivative in zip(powers, derivatives[i:], strict=False):
+                    moved[i] += power * derivative
+            return moved
+
+        return window._replace(position=later(window.position), yaw=later(window.yaw))

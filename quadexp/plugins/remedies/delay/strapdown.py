@@ -71,7 +71,9 @@ class Strapdown(KnownDelay):
         late = self._late(inputs, results["since"])
         propagate = propagation(periods, vehicle.gravity, inputs.period)
         now = propagate(inputs.state, ca.reshape(rates, 3, -1), ca.reshape(forces, 3, -1), late)
-        return results | {"read": ca.fmax(memory.read, read), "state": ca.if_else(flown, now, inputs.state)}
+        results["read"] = ca.fmax(memory.read, read)
+        results["state"] = ca.if_else(flown, now, inputs.state)
+        return results
 
     def _late(self, inputs: Inputs, since: Any) -> Any:
         """How old the state is after so many instants (s)."""
@@ -106,15 +108,20 @@ def propagation(periods: int, gravity: float, period: float) -> ca.Function:
     q = x[ATTITUDE]
     v = x[VELOCITY]
     for j in range(periods):
-        h = ca.fmax(ca.fmin(late - (periods - 1 - j) * period, period), 0)
+        h = ca.fmin(late - (periods - 1 - j) * period, period)
+        h = ca.fmax(h, 0)
         before = 1 - h / period  # share of the period that is older than the state
-        w, f = (
-            [values[:, j] + share * (values[:, j + 1] - values[:, j]) for share in (before, (1 + before) / 2, 1)]
-            for values in (rates, forces)
-        )
+        w = []
+        f = []
+        for share in (before, (1 + before) / 2, 1):
+            w.append(rates[:, j] + share * (rates[:, j + 1] - rates[:, j]))
+            f.append(forces[:, j] + share * (forces[:, j + 1] - forces[:, j]))
         R = rotation_matrix(q)
-        turned = [f[0], *(rotation_matrix(exponential(_turn(w[0], w[i], h * i / 2))) @ f[i] for i in (1, 2))]
-        a = [R @ force + along_z(-gravity) for force in turned]
+        a = []
+        for i in range(3):
+            turn = _turn(w[0], w[i], h * i / 2)
+            turned = rotation_matrix(exponential(turn)) @ f[i] if i else f[0]
+            a.append(R @ turned + along_z(-gravity))
         p = p + h * v + h**2 * (a[0] + 2 * a[1]) / 6
         v = v + h * (a[0] + 4 * a[1] + a[2]) / 6
         q = product(q, exponential(_turn(w[0], w[2], h)))

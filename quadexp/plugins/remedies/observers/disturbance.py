@@ -94,7 +94,8 @@ def disturbance_function(
     else:
         P = P + q
         gain = a["read"] * P / (P + r)
-        force = force + gain * (R @ (a["reading"] - known) - force)
+        unexplained = R @ (a["reading"] - known)
+        force = force + gain * (unexplained - force)
         P = (1 - gain) * P
     size = ca.sqrt(ca.sumsqr(force) + 1e-30)
     force = force * ca.fmin(1, limit / size)

@@ -59,7 +59,7 @@ def wind_bandwidth(
             z[axis] = airspeed
             z[6:] = vehicle.hover_thrust
             _, slope = residual.function(z, theta)
-            each.append(abs(float(np.array(ca.DM(slope).full())[axis, axis])))
+            each.append(abs(float(slope[axis, axis])))
         slopes.append(np.mean(each) / (config.noise[axis] * np.sqrt(period)))
     return float(config.wind_walk * min(slopes))
 
@@ -90,24 +90,28 @@ def wind_function(vehicle: Vehicle, residual: Residual, about: Circumstances) ->
     H = ca.horzcat(-(slope[:3, :3] @ R.T), by_scale)
     P = P + ca.diag(ca.vertcat(wind_walk, wind_walk, wind_walk, scale_walk))
     error = a["reading"] - y[:3] - along_z(scale * thrust)
-    S = H @ P @ H.T + ca.diag(ca.vertcat(*noise))
+    N = ca.diag(ca.vertcat(*noise))
+    S = H @ P @ H.T + N
     K = a["read"] * (P @ H.T @ inverse(S))
     change = K @ error
     air = air + change
-    force = force + a["read"] * gain * (R @ (error - H @ change) - force)
+    unexplained = R @ (error - H @ change)
+    force = force + a["read"] * gain * (unexplained - force)
     reduction = ca.DM.eye(N_AIR) - K @ H
-    P = reduction @ P @ reduction.T + K @ ca.diag(ca.vertcat(*noise)) @ K.T  # Joseph's form
+    P = reduction @ P @ reduction.T + K @ N @ K.T  # Joseph's form
     shrink = ca.fmin(1, ca.sqrt(3 * largest / ca.trace(P[:3, :3])))
     by = ca.diag(ca.vertcat(shrink, shrink, shrink, 1))
     P = by @ P @ by
     size = ca.sqrt(ca.sumsqr(air[:3]) + 1e-30)
-    air = ca.vertcat(air[:3] * ca.fmin(1, limit / size), limited(air[3], -0.5, 1.0))
+    wind = air[:3] * ca.fmin(1, limit / size)
+    air = ca.vertcat(wind, limited(air[3], -0.5, 1.0))
 
     mean = (1 + air[3]) * a["mean"]
     of_torque = settings[N_WIND_SETTINGS:]
     rates, torque = torque_update(s[first:], x[RATE], mean, y[3:], of_torque, vehicle, period)
     belief = ca.vertcat(vehicle.mass * force, torque, air[:3], 1 + air[3], 1)
-    return named_function("wind_observer", a, {"s_next": ca.vertcat(air, ca.vec(P), force, rates), "belief": belief})
+    s_next = ca.vertcat(air, ca.vec(P), force, rates)
+    return named_function("wind_observer", a, {"s_next": s_next, "belief": belief})
 
 
 @keyed

@@ -91,7 +91,8 @@ class Feedback(FeedbackSettings, Law):
     def equations(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """See Law; (27) to (40). Rotor speeds that are not measured are those that were commanded."""
         read, turning = ca.vertsplit(inputs.fresh)
-        speed = ca.if_else(ca.logic_and(read, turning), inputs.rotor_speed, memory.rotor_speed)
+        measured = ca.logic_and(read, turning)
+        speed = ca.if_else(measured, inputs.rotor_speed, memory.rotor_speed)
         results: dict[str, Any] = {}
         theta = ca.DM.zeros(len(THETA))
         if self.identifies:
@@ -102,7 +103,8 @@ class Feedback(FeedbackSettings, Law):
             theta = after["used"]
             results = {RLS + name: value for name, value in after.items()}
             results |= named(THETA, ca.vertsplit(theta))
-            results |= {"clips": ca.sum1(after["clips"]), "reopened": after["reopened"]}
+            results["clips"] = ca.sum1(after["clips"])
+            results["reopened"] = after["reopened"]
         elif self.knows_plant:
             theta = inputs.symbol("coefficients", (len(THETA), 1))
         law = law_function(vehicle, self, self.compensates)
@@ -114,12 +116,14 @@ class Feedback(FeedbackSettings, Law):
             result = law.call(arguments | {f"{name}_last": value for name, value in last.items()})
         else:
             result = _fixed_point(law, arguments, last, self.inner_iterations)
-        results |= {name: result[name] for name in last} | {"observer": ca.vec(result["observer"])}
+        results |= {name: result[name] for name in (*last, "floored", "limited")}
+        results["observer"] = ca.vec(result["observer"])
         results |= named(("phi_d", "theta_d"), ca.vertsplit(result["eta_d"][:2]))
         results["error_eta"] = ca.norm_2(result["error"])
         results["cone"] = result["outside"]
-        results |= {name: result[name] for name in ("floored", "limited")}
-        return results | {"command": result["thrust"], "held": result["floored"] + result["limited"]}
+        results["command"] = result["thrust"]
+        results["held"] = result["floored"] + result["limited"]
+        return results
 
     def controller(self, vehicle: Vehicle, *more: Any, **places: Any) -> ExplicitController:
         """See Law; UsageError for a vehicle without what the equations need."""
@@ -161,10 +165,12 @@ def _fixed_point(law: ca.Function, arguments: dict[str, Any], last: dict[str, An
     values, results = call(before[:-1], fixed)
     change = sum(ca.norm_inf(results[name] - values[name]) for name in ("rotor_speed", "eta_d"))
     moves = change > INNER_TOLERANCE
-    after = ca.if_else(moves, ca.vertcat(*(results[name] for name in last)), before[:-1])
+    moved = ca.vertcat(*(results[name] for name in last))
+    after = ca.if_else(moves, moved, before[:-1])
     next_at = ca.if_else(before[-1], ca.vertcat(after, moves), before, True)
     once = ca.Function("once", [before, *fixed.values()], [next_at])
     at = ca.vertcat(*last.values(), 1)
     for _ in range(iterations):
         at = once(at, *arguments.values())
-    return call(at[:-1], arguments)[1]
+    _, results = call(at[:-1], arguments)
+    return results

@@ -29,7 +29,8 @@ def yaw_ned(yaw_enu: Expression) -> Expression:
 
 def rotation_euler(eta: Expression) -> Expression:
     """R(phi, theta, psi), (3, 3), FRD to NED, of eta (3,) (rad): equation (8)."""
-    (cp, ct, cs), (sp, st, ss) = ([f(eta[i]) for i in range(3)] for f in (ca.cos, ca.sin))
+    cp, ct, cs = (ca.cos(eta[i]) for i in range(3))
+    sp, st, ss = (ca.sin(eta[i]) for i in range(3))
     return ca.vertcat(
         ca.horzcat(ct * cs, sp * st * cs - cp * ss, cp * st * cs + sp * ss),
         ca.horzcat(ct * ss, sp * st * ss + cp * cs, cp * st * ss - sp * cs),
@@ -39,8 +40,10 @@ def rotation_euler(eta: Expression) -> Expression:
 
 def euler_angles(R: Expression) -> Expression:
     """eta = (phi, theta, psi), (3,) (rad), of R (3, 3), FRD to NED; theta in [-pi/2, pi/2]."""
-    sine = limited(-R[2, 0], -1.0, 1.0)
-    return ca.vertcat(ca.atan2(R[2, 1], R[2, 2]), ca.asin(sine), ca.atan2(R[1, 0], R[0, 0]))
+    roll = ca.atan2(R[2, 1], R[2, 2])
+    pitch = ca.asin(limited(-R[2, 0], -1.0, 1.0))
+    yaw = ca.atan2(R[1, 0], R[0, 0])
+    return ca.vertcat(roll, pitch, yaw)
 
 
 def state_from_ned(
@@ -54,7 +57,8 @@ def state_from_ned(
     x[POSITION] = NED_ENU @ position
     x[VELOCITY] = NED_ENU @ velocity
     x[RATE] = FRD_FLU @ rate
-    R = NED_ENU @ ca.DM(rotation_euler(ca.DM(list(eta)))).full() @ FRD_FLU
+    to_ned = rotation_euler(ca.DM(list(eta))).full()
+    R = NED_ENU @ to_ned @ FRD_FLU
     from scipy.spatial.transform import Rotation
 
     x[ATTITUDE] = Rotation.from_matrix(R).as_quat(canonical=True, scalar_first=True)
