@@ -18,8 +18,8 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import ModelDomainError, QuadexpError, UsageError
 from quadexp.models.residual import Residual
 from quadexp.parts.sensor_spec import SensorSpec, Stated
-from quadexp.world.composition import WIND, Layout, compose, wind_function
-from quadexp.world.effect import Clock, Effect, Sizes, Start, ordered
+from quadexp.world.composition import WIND, compose, wind_function
+from quadexp.world.effect import Clock, Effect, Layout, Sizes, Start, ordered
 from quadexp.world.integrator import Equations, SimulatedPlant
 from quadexp.world.streams import Drawn, Streams, part_stream
 
