@@ -69,7 +69,8 @@ def heading(q: np.ndarray) -> np.ndarray:
 
 def thrust_axis(q: np.ndarray) -> np.ndarray:
     """z_body in the world, (..., 3), of q, (..., 4)."""
-    return np.stack([row[2] for row in _entries(*np.moveaxis(q, -1, 0))], axis=-1)
+    rows = _entries(*np.moveaxis(q, -1, 0))
+    return np.stack([row[2] for row in rows], axis=-1)
 
 
 def heading_rate(q: np.ndarray, w: np.ndarray) -> np.ndarray:

@@ -186,8 +186,7 @@ class PushingActuator(Actuator):
         inner, parameters = super().start(rng, start)
         vehicle = start.vehicle
         drawn = rng.standard_normal(1 + vehicle.n_rotors)  # whatever the settings: neither changes the other's draws
-        scale = log_normal(self.flight_scale_std, drawn[0])
-        scale = scale * log_normal(self.rotor_scale_std, drawn[1:])
+        scale = log_normal(self.flight_scale_std, drawn[0]) * log_normal(self.rotor_scale_std, drawn[1:])
         more = ((scale - 1) * vehicle.allocation).ravel(order="F")
         factor = self.rotor_inertia / math.sqrt(vehicle.thrust_coefficient or 1.0)  # no inertia where it is not known
         return inner, np.concatenate([parameters, more, factor * np.array(vehicle.rotor_spin, float)])

@@ -332,8 +332,7 @@ class _Parts:
         if equations.mass:
             mass = equations.mass(theta)
         kick = step / 2 * force / mass
-        angular_acceleration = ca.inv(ca.DM(self._vehicle.inertia_matrix)) @ torque
-        turn = step / 2 * angular_acceleration
+        turn = step / 2 * (ca.inv(ca.DM(self._vehicle.inertia_matrix)) @ torque)
 
         def kicked(state: ca.MX) -> ca.MX:
             if not pushes:
@@ -343,8 +342,7 @@ class _Parts:
         seen = x
         if blows:
             seen = _seen_from_the_air(x, wind)
-        begins = ca.vertcat(kicked(seen), rest)
-        s, *kept = equations.step.call([begins, held, noise, theta, step])
+        s, *kept = equations.step.call([ca.vertcat(kicked(seen), rest), held, noise, theta, step])
         x_next = kicked(s[:N_STATE])
         rest = s[N_STATE:]
         if blows:

@@ -264,9 +264,9 @@ class Effect(Part):
 def ordered(effects: list[Effect]) -> tuple[Effect, ...]:
     """Effects in the order of STAGES. Raises UsageError for two with one random stream."""
     parts = [effect.part for effect in effects]
-    twice = next((part for part in parts if parts.count(part) > 1), None)
+    twice = [part for part in parts if parts.count(part) > 1]
     if twice:
-        raise UsageError(f"{twice}: two effects of that name; each needs one of its own")
+        raise UsageError(f"{twice[0]}: two effects of that name; each needs one of its own")
     return tuple(sorted(effects, key=lambda effect: STAGES.index(effect.stage)))
 
 

@@ -48,8 +48,7 @@ def on_the_way(numbers: Any, drop: Any) -> tuple[Any, Any]:
     """The share of a jitter, uniform in [0, 1), and whether something is lost, with the probability `drop`, of two
     standard normal numbers. Zeros, which are Silence's: half of the jitter, and nothing is lost."""
     uniform = (1 + ca.erf(numbers / math.sqrt(2))) / 2
-    lost = ca.logic_and(uniform[1] < drop, numbers[1] != 0)
-    return uniform[0], lost
+    return uniform[0], ca.logic_and(uniform[1] < drop, numbers[1] != 0)
 
 
 def part_stream(rng: np.random.Generator, part: str) -> np.random.Generator:
@@ -224,8 +223,7 @@ class Streams:
 def _split_mix(key: np.uint64, ticks: np.ndarray, numbers: int) -> np.ndarray:
     """Standard normal numbers (.., numbers) of ticks (..), of the sequence that begins at a key."""
     pairs = (numbers + 1) // 2
-    place = ticks[..., None] * np.uint64(2 * pairs)
-    place = place + np.arange(1, 2 * pairs + 1, dtype=np.uint64)
+    place = ticks[..., None] * np.uint64(2 * pairs) + np.arange(1, 2 * pairs + 1, dtype=np.uint64)
     z: Any = key + place * np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ z >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ z >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)

@@ -194,11 +194,13 @@ def wanted_velocity(towards: Expression, reference: Expression, limit: tuple[flo
     b = ca.dot(first, second)
     c = ca.sumsqr(first) - limit[0] ** 2
     inside = c < 0  # of the way to the reference alone
-    share = (-b + ca.sqrt(ca.fmax(b**2 - a * c, 0))) / ca.fmax(a, 1e-12)
+    root = ca.sqrt(ca.fmax(b**2 - a * c, 0))
+    share = (-b + root) / ca.fmax(a, 1e-12)
     within = first + limited(share, 0, 1) * second
     shortened = first * limit[0] / ca.fmax(ca.norm_2(first), 1e-12)
     horizontal = ca.if_else(inside, within, shortened)
-    vertical = limited(towards[2] + reference[2], -limit[2], limit[1])
+    climb = towards[2] + reference[2]
+    vertical = limited(climb, -limit[2], limit[1])
     return ca.vertcat(horizontal, vertical)
 
 

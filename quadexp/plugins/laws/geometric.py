@@ -113,7 +113,8 @@ class Geometric(Law):
         R_r = rotation_matrix(state[ATTITUDE])
         w_r = state[RATE]
         wrench_r = G @ thrust
-        w_r_dot = ca.inv(J) @ (wrench_r[1:] + air_r[3:] - ca.cross(w_r, J @ w_r))
+        torque_r = wrench_r[1:] + air_r[3:] - ca.cross(w_r, J @ w_r)
+        w_r_dot = ca.inv(J) @ torque_r
         e_p = x[POSITION] - path[:, 0]
         e_v = x[VELOCITY] - path[:, 1]
 
@@ -145,7 +146,8 @@ class Geometric(Law):
         e_w = w - turn @ w_d
         spin = -ca.cross(w, turn @ w_d) + turn @ w_d_dot
         turning = spin - K_R * e_R - K_w * e_w - memory.theta_torque
-        torque = J @ turning + ca.cross(w, J @ w)
+        gyroscopic = ca.cross(w, J @ w)
+        torque = J @ turning + gyroscopic
         torque -= air[3:] + belief.torque
         wrench = ca.vertcat(m * ca.dot(force, R[:, 2]), torque) + G @ (inputs.thrusts_middle - thrust)
         wrench /= belief.thrust_scale

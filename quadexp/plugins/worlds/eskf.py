@@ -36,6 +36,7 @@ from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.worlds.error_state import (
     D_ATTITUDE,
     GYROSCOPE_BIAS,
+    N_COVARIANCE,
     N_ERROR,
     N_KNOWN,
     N_NOMINAL,
@@ -103,7 +104,7 @@ class Navigation(Effect):
         return math.ceil(max(aid.delay for aid in self.sensors.aids) / interval - 1e-9)
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        inner = N_KNOWN + self.entry_size * self.horizon(clock)
+        inner = N_NOMINAL + N_COVARIANCE + self.entry_size * self.horizon(clock)
         return Sizes(inner, sum(self._parameter_sizes()))
 
     def _parameter_sizes(self) -> list[int]:
