@@ -254,9 +254,7 @@ def origin(
     rows: ResidualDataset, features: Sequence[str] = (), settings: Any = None, libraries: Sequence[str] = ()
 ) -> dict[str, Any]:
     """What a model's record says of its fit: vehicle, dataset, settings, feature_range, versions of the libraries."""
-    stated = {}
-    if settings is not None:
-        stated = without(record(settings), ["name"])
+    stated = {} if settings is None else without(record(settings), ["name"])
     vehicle = dict(rows.metadata.get("vehicle") or {})
     return {
         "vehicle": vehicle, "dataset": rows.summary(), "settings": stated,

@@ -61,9 +61,7 @@ class World(SimulatedPlant):
         self._rotors = list[int]()
         self._shares: list[tuple[Effect, slice, slice]] = []  # of the inner states, and of the effects' parameters
         rough = any(effect.has("wind") or effect.has("thrusts") for effect in self.effects)
-        equations = airframe.equations
-        if rough:
-            equations = airframe.rough_equations
+        equations = airframe.rough_equations if rough else airframe.equations
         super().__init__(airframe.vehicle, equations, step=airframe.step, backend=airframe.backend)
 
     # ------------------------------------------------------------------------------------------------- a flight begins
@@ -118,8 +116,7 @@ class World(SimulatedPlant):
         self._rotors = []
         if self.sensor_spec.rotor_speed:
             for i in range(self.vehicle.n_rotors):
-                true_speed = columns.get(f"rotor_speed_{i}", -1)
-                self._rotors.append(columns.get(f"est_rotor_speed_{i}", true_speed))
+                self._rotors.append(columns.get(f"est_rotor_speed_{i}", columns.get(f"rotor_speed_{i}", -1)))
         self._own_parameters = np.concatenate(parameters)
         self.measured = start.x.copy()
         for effect, effect_states in zip(self.effects, inner[1:], strict=True):
@@ -168,7 +165,7 @@ class World(SimulatedPlant):
             rows = function.size1_in("noise")
             draws = function.size1_in("draws")
             buffer = np.zeros(clock.steps * rows + draws)
-            views = {}
+            views = dict[str, np.ndarray]()
             if rows:
                 noise = buffer[: clock.steps * rows]
                 views["noise"] = noise.reshape(clock.steps, rows) if clock.steps > 1 else noise
