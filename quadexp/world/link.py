@@ -48,8 +48,7 @@ class Latency(Effect):
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         n = vehicle.n_rotors
-        inner = n + self._kept(clock) * (n + 1)
-        return Sizes(inner, parameters=3, drawn=(Sampled(2, (0.0,)),))
+        return Sizes(n + self._kept(clock) * (n + 1), parameters=3, drawn=(Sampled(2, (0.0,)),))
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         waiting = np.tile([*start.thrust, NEVER], self._kept(start.clock))
