@@ -28,6 +28,7 @@ from quadexp.errors import DataError, UsageError
 from quadexp.models.adapting import Adapting
 from quadexp.models.dataset import ResidualDataset
 from quadexp.models.residual import VELOCITY, Residual
+from quadexp.names import without
 from quadexp.parts.models import kind_of_class, model_part
 from quadexp.parts.part import Part
 from quadexp.parts.settings import SEEDS, Setting, key, keyed, record
@@ -253,7 +254,7 @@ def origin(
     rows: ResidualDataset, features: Sequence[str] = (), settings: Any = None, libraries: Sequence[str] = ()
 ) -> dict[str, Any]:
     """What a model's record says of its fit: vehicle, dataset, settings, feature_range, versions of the libraries."""
-    stated = {} if settings is None else {key: value for key, value in record(settings).items() if key != "name"}
+    stated = {} if settings is None else without(record(settings), ["name"])
     vehicle = dict(rows.metadata.get("vehicle") or {})
     return {
         "vehicle": vehicle, "dataset": rows.summary(), "settings": stated,
@@ -284,7 +285,9 @@ def outside_shares(ranges: Mapping[str, Sequence[float]], rows: ResidualDataset)
 
 def _values(rows: ResidualDataset, name: str) -> np.ndarray:
     """Values of a feature, or of the speed, (k,)."""
-    return norms(rows.matrix(VELOCITY)) if name == SPEED else rows.matrix([name])[:, 0]
+    if name == SPEED:
+        return norms(rows.matrix(VELOCITY))
+    return rows.matrix([name])[:, 0]
 
 
 def require_variation(rows: ResidualDataset, features: Sequence[str], outputs: Sequence[str], key: str) -> None:

@@ -93,8 +93,10 @@ def edited_note(path: str | Path) -> str:
     """Of a checkpoint whose equations were edited after its fit, that they were, in one line; "" for any other, and
     where the --conf folder of its equations is not given."""
     fitted = _decoded(Path(path) / MODEL_FILE).get("equations", "")
-    kind = load_model(path).kind if fitted else ""
-    if not fitted or kind not in kinds() or fitted == _equations(kind):
+    if not fitted:
+        return ""
+    kind = load_model(path).kind
+    if kind not in kinds() or fitted == _equations(kind):
         return ""
     return f"{path}: fitted with other equations than {kind}.py, or what it imports, has now: fit it again"
 
@@ -102,7 +104,9 @@ def edited_note(path: str | Path) -> str:
 def load_report(path: str | Path) -> dict[str, Any]:
     """The report.json of a checkpoint directory, {} if it has none."""
     file = Path(path) / REPORT_FILE
-    return _decoded(file) if file.is_file() else {}
+    if not file.is_file():
+        return {}
+    return _decoded(file)
 
 
 def _equations(kind: str) -> str:

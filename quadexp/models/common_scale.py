@@ -21,7 +21,9 @@ class CommonScale(NamedTuple):
     def variance(self) -> float:
         """Variance of a_z on a new flight due to the spread of e_f, (m/s^2)^2; 0 with one flight."""
         values = list(self.errors.values())
-        return float(np.var(values, ddof=1)) * self.level**2 if len(values) > 1 else 0.0
+        if len(values) < 2:
+            return 0.0
+        return float(np.var(values, ddof=1)) * self.level**2
 
 
 def has_thrust_scale(dataset: ResidualDataset) -> bool:

@@ -72,7 +72,7 @@ class ResidualDataset(NamedTuple):
 
     @property
     def n_rows(self) -> int:
-        return len(self.columns["flight"]) if "flight" in self.columns else 0
+        return len(self.columns.get("flight", ()))
 
     @property
     def flights(self) -> np.ndarray:
@@ -89,7 +89,9 @@ class ResidualDataset(NamedTuple):
         Raises DataError for a column that is missing or not finite, naming it.
         """
         columns = [self._column(name) for name in names]
-        return np.column_stack(columns) if columns else np.empty((self.n_rows, 0))
+        if not columns:
+            return np.empty((self.n_rows, 0))
+        return np.column_stack(columns)
 
     def _column(self, name: str) -> np.ndarray:
         if name in self.columns:
@@ -152,12 +154,15 @@ def transitions(
         raise UsageError(f"collect.frame: '{frame}' is neither midpoint nor start")
 
     def of_frame(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        return first if frame == "start" else (first + second) / 2
+        if frame == "start":
+            return first
+        return (first + second) / 2
 
     inputs = input_columns(vehicle.n_rotors)
     t = _read(flight, ("t",))[:, 0]
     state = _read(flight, STATE_COLUMNS)
-    thrust = _read(flight, inputs)[:-1] if thrust is None else thrust
+    if thrust is None:
+        thrust = _read(flight, inputs)[:-1]
 
     k = consecutive(t, flight.columns.get("segment"))
     k = k[finite_rows(thrust[k])]
@@ -167,12 +172,17 @@ def transitions(
     dt = np.diff(t)[k]
     before[:, ATTITUDE] = _unit(before[:, ATTITUDE], k)
     after[:, ATTITUDE] = _unit(after[:, ATTITUDE], k + 1)
-    after[:, ATTITUDE] *= np.where(np.sum(before[:, ATTITUDE] * after[:, ATTITUDE], axis=1) < 0, -1.0, 1.0)[:, None]
+    opposite = np.sum(before[:, ATTITUDE] * after[:, ATTITUDE], axis=1) < 0
+    after[:, ATTITUDE] *= np.where(opposite, -1.0, 1.0)[:, None]
 
     predicted = _predict(vehicle, before, u, dt)
     point = of_frame(before, after)
-    to_body = Rotation.from_quat(point[:, ATTITUDE], scalar_first=True).as_matrix() if len(k) else np.empty((0, 3, 3))
-    air = np.zeros((len(t), 3)) if flight.wind is None else _read(flight, WIND)
+    to_body = np.empty((0, 3, 3))
+    if len(k):
+        to_body = Rotation.from_quat(point[:, ATTITUDE], scalar_first=True).as_matrix()
+    air = np.zeros((len(t), 3))
+    if flight.wind is not None:
+        air = _read(flight, WIND)
     velocity = air_velocity(point[:, ATTITUDE], point[:, VELOCITY], of_frame(air[k], air[k + 1]))
     gap = (after - predicted) / dt[:, None]
     acceleration = np.einsum("kij,ki->kj", to_body, gap[:, VELOCITY])
@@ -184,7 +194,10 @@ def transitions(
         gyroscopic = np.cross(gap[:, RATE], w @ inertia) + np.cross(w, torque)
         torque = torque + dt[:, None] / 2 * gyroscopic
 
-    columns = {"t": (t[k] + dt / 2 if frame == "midpoint" else t[k]), "dt": dt}
+    when = t[k]
+    if frame == "midpoint":
+        when = when + dt / 2
+    columns = {"t": when, "dt": dt}
     columns |= by_axis(v=velocity, w=point[:, RATE], a=acceleration, tau=torque)
     columns |= {column: u[:, i].copy() for i, column in enumerate(inputs)}
     return columns | {THRUST: u.sum(axis=1)}
@@ -226,7 +239,9 @@ def as_told(flight: Flight) -> Flight:
     one."""
     columns = flight.columns
     estimate = {name: columns[f"est_{name}"] for name in STATE_COLUMNS if f"est_{name}" in columns}
-    return replace(flight, columns={**columns, **estimate}) if estimate else flight
+    if not estimate:
+        return flight
+    return replace(flight, columns={**columns, **estimate})
 
 
 def joined(
@@ -260,11 +275,14 @@ def name_of(flight: Flight, index: int) -> str:
 
 def _read(flight: Flight, columns: Sequence[str]) -> np.ndarray:
     """Columns of a flight as a matrix, (k, len(columns)); raises DataError unless all are finite."""
+    read = []
     for column in columns:
         if column not in flight.columns:
             raise DataError(f"column '{column}' is missing in the flight")
-        _require_finite(np.asarray(flight.columns[column], float), f"column '{column}'")
-    return np.column_stack([np.asarray(flight.columns[column], float) for column in columns])
+        values = np.asarray(flight.columns[column], float)
+        _require_finite(values, f"column '{column}'")
+        read.append(values)
+    return np.column_stack(read)
 
 
 def _require_finite(column: np.ndarray, what: str) -> None:

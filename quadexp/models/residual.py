@@ -111,7 +111,8 @@ def symbolic_residual(
     values: (p,). slope: the Jacobian, (6, 6 + n); None: by automatic differentiation.
     """
     if slope is None:
-        outputs, slope = ca.sparsify(outputs), ca.jacobian(outputs, features)
+        slope = ca.jacobian(outputs, features)
+        outputs = ca.sparsify(outputs)
     else:
         outputs, slope = ca.cse([outputs, slope])
     function = residual_function(name, features, theta, [outputs, slope])
@@ -173,6 +174,8 @@ def scaled_residual(residual: Residual) -> Residual:
         z, theta = symbols(ca.MX, z=function.size1_in(0), theta=function.size1_in(1) + 1)
         return residual_function("scaled", z, theta, [theta[-1] * value for value in function(z, theta[:-1])])
 
-    to_compile = None if residual.to_compile is None else scaled(residual.to_compile)
+    to_compile = residual.to_compile
+    if to_compile is not None:
+        to_compile = scaled(to_compile)
     theta = np.append(residual.theta, 1.0)
     return replace(residual, theta=theta, function=scaled(residual.function), to_compile=to_compile, unscaled=residual)

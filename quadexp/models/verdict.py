@@ -227,7 +227,9 @@ def verdict(model: Model, train: ResidualDataset, test: ResidualDataset) -> dict
         row = {"model": name, "rms": rms(error), "this": rms(of_model)}
         report["beside"].append(row | paired_ratio(of_model, error, flight).record())
     recorded = brought("services", "recorded_verdict") if has_thrust_scale(train) else None
-    return report if recorded is None else report | recorded.compared(train, test, of_model, of_drag)
+    if recorded is None:
+        return report
+    return report | recorded.compared(train, test, of_model, of_drag)
 
 
 def verdict_lines(report: dict[str, Any]) -> list[str]:
@@ -250,12 +252,15 @@ def verdict_lines(report: dict[str, Any]) -> list[str]:
         ratio = f"{row['this']:.3g} m/s^2 for {row['rms']:.3g}, ratio {row['text']}"
         lines.append(f"  all axes, beside {row['model']}: {ratio}")
     recorded = brought("services", "recorded_verdict") if report.get("identified") else None
-    return lines if recorded is None else lines + recorded.lines(report)
+    if recorded is None:
+        return lines
+    return lines + recorded.lines(report)
 
 
 def _more_lines(report: Mapping[str, Any]) -> list[str]:
     """How to hold out as many flights as a verdict takes."""
-    held_out, every = report["flights"], max(report["of"], 2 * LEAST_FLIGHTS + 1)  # most are still fitted
+    held_out = report["flights"]
+    every = max(report["of"], 2 * LEAST_FLIGHTS + 1)  # most are still fitted
     said = f"{held_out} held-out flight{'s are' if held_out > 1 else ' is'} too few to tell, {LEAST_FLIGHTS} the least"
     share = math.ceil(100 * LEAST_FLIGHTS / every) / 100
     if every == report["of"]:

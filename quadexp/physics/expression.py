@@ -54,10 +54,12 @@ def symbols(kind: Any, **shapes: Any) -> list[Any]:
 
 def named_symbols(kind: Any, shapes: Mapping[str, Any]) -> dict[str, Any]:
     """The same by name."""
-    return {
-        name: kind.sym(name, *shape) if isinstance(shape, tuple) else kind.sym(name, shape)
-        for name, shape in shapes.items()
-    }
+    by_name = {}
+    for name, shape in shapes.items():
+        if not isinstance(shape, tuple):
+            shape = (shape,)
+        by_name[name] = kind.sym(name, *shape)
+    return by_name
 
 
 def named_function(name: str, inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> ca.Function:

@@ -21,7 +21,8 @@ def rk4_step_with_input(
     k2 = f(x + dt / 2 * k1, middle)
     k3 = f(x + dt / 2 * k2, middle)
     k4 = f(x + dt * k3, end)
-    return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    slopes = k1 + 2 * k2 + 2 * k3 + k4
+    return x + dt / 6 * slopes
 
 
 def euler_step(f: Callable[[Expression], Expression], x: Expression, dt: Expression) -> Expression:

@@ -14,7 +14,9 @@ import math
 
 def group_delay(cutoff: float) -> float:
     """By which what is slow comes late behind a low pass with this cut-off (Hz) (s); 0 of none."""
-    return 1 / (2 * math.pi * cutoff) if cutoff else 0.0
+    if not cutoff:
+        return 0.0
+    return 1 / (2 * math.pi * cutoff)
 
 
 def low_pass(cutoff: float, step: float) -> tuple[float, float, float]:
@@ -22,7 +24,8 @@ def low_pass(cutoff: float, step: float) -> tuple[float, float, float]:
     delay = group_delay(cutoff) / step
     g = 0.0
     if cutoff * step < 0.5:
-        g = 2 * delay - 0.5 - math.sqrt(2 * delay**2 + 0.25 - 0.25 / math.sin(math.pi * cutoff * step) ** 2)
+        sine = math.sin(math.pi * cutoff * step)
+        g = 2 * delay - 0.5 - math.sqrt(2 * delay**2 + 0.25 - 0.25 / sine**2)
     decay = g / (1 + g)
     before = (1 - decay) * (delay - g)
     return decay, before, 1 - decay - before

@@ -56,12 +56,11 @@ def state_derivative(
     if correction is not None:
         acceleration += correction[:3]
         torque += correction[3:]
-    inertia = ca.sparsify(ca.DM(vehicle.inertia_matrix))
-    angular_acceleration = ca.sparsify(ca.inv(ca.DM(vehicle.inertia_matrix)), 1e-14) @ (
-        torque - ca.cross(w, inertia @ w)
-    )
-    gravity = along_z(-vehicle.gravity)
-    return ca.vertcat(v, quaternion_rate(q, w), rotation_matrix(q) @ acceleration + gravity, angular_acceleration)
+    J = ca.DM(vehicle.inertia_matrix)
+    moment = torque - ca.cross(w, ca.sparsify(J) @ w)
+    v_dot = rotation_matrix(q) @ acceleration + along_z(-vehicle.gravity)
+    w_dot = ca.sparsify(ca.inv(J), 1e-14) @ moment
+    return ca.vertcat(v, quaternion_rate(q, w), v_dot, w_dot)
 
 
 def body_features(x: Expression, u: Expression) -> Expression:

@@ -27,7 +27,8 @@ def rotation_matrix(q: Expression) -> Expression:
     Within an integration step, and at the nodes of a prediction, q is only approximately of unit length. Dividing by
     q'q keeps R a rotation there, with R(p o q) = R(p) R(q).
     """
-    return ca.vertcat(*(ca.horzcat(*row) for row in _entries(q[0], q[1], q[2], q[3])))
+    rows = _entries(q[0], q[1], q[2], q[3])
+    return ca.blockcat([list(row) for row in rows])
 
 
 def with_unit_attitude(x: Expression) -> Expression:
@@ -46,13 +47,18 @@ def air_velocity(q: Any, velocity: Any, wind: Any = None) -> Any:
     q: (4,), body to world. velocity, wind: (3,), world (m/s); None: still air. CasADi expressions, or numpy arrays of
     samples (..., 4), (..., 3). Returns (3,), or (..., 3) (m/s).
     """
-    relative = velocity if wind is None else velocity - wind
+    if wind is not None:
+        velocity = velocity - wind
     if not isinstance(q, np.ndarray):
-        return rotation_matrix(q).T @ relative
-    single = q.ndim == 1  # Python floats are several times faster than numpy scalars
-    rows = _entries(*(q.tolist() if single else np.moveaxis(q, -1, 0)))
-    x, y, z = relative.tolist() if single else np.moveaxis(relative, -1, 0)
-    return np.stack([rows[0][i] * x + rows[1][i] * y + rows[2][i] * z for i in range(3)], axis=-1)
+        return rotation_matrix(q).T @ velocity
+    if q.ndim == 1:  # Python floats are several times faster than numpy scalars
+        rows = _entries(*q.tolist())
+        x, y, z = velocity.tolist()
+    else:
+        rows = _entries(*np.moveaxis(q, -1, 0))
+        x, y, z = np.moveaxis(velocity, -1, 0)
+    body = [a * x + b * y + c * z for a, b, c in zip(*rows, strict=True)]
+    return np.stack(body, axis=-1)
 
 
 def heading(q: np.ndarray) -> np.ndarray:
@@ -63,14 +69,17 @@ def heading(q: np.ndarray) -> np.ndarray:
 
 def thrust_axis(q: np.ndarray) -> np.ndarray:
     """z_body in the world, (..., 3), of q, (..., 4)."""
-    return np.stack([row[2] for row in _entries(*np.moveaxis(q, -1, 0))], axis=-1)
+    rows = _entries(*np.moveaxis(q, -1, 0))
+    return np.stack([row[2] for row in rows], axis=-1)
 
 
 def heading_rate(q: np.ndarray, w: np.ndarray) -> np.ndarray:
     """Time derivative of `heading`, (...) (rad/s), under the body rate w, (..., 3) (rad/s)."""
     (x_0, y_0, z_0), (x_1, y_1, z_1), _ = _entries(*np.moveaxis(q, -1, 0))
     roll, _, yaw = np.moveaxis(w, -1, 0)
-    turn = y_0 * (z_1 * roll - x_1 * yaw) - y_1 * (z_0 * roll - x_0 * yaw)
+    y_0_dot = z_0 * roll - x_0 * yaw
+    y_1_dot = z_1 * roll - x_1 * yaw
+    turn = y_0 * y_1_dot - y_1 * y_0_dot
     return np.asarray(turn / np.maximum(y_0**2 + y_1**2, SMALLEST))
 
 
@@ -94,9 +103,7 @@ def left_matrix(q: Expression) -> Expression:
     x = q[1]
     y = q[2]
     z = q[3]
-    return ca.vertcat(
-        ca.horzcat(w, -x, -y, -z), ca.horzcat(x, w, -z, y), ca.horzcat(y, z, w, -x), ca.horzcat(z, -y, x, w)
-    )
+    return ca.blockcat([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
 
 
 def right_matrix(q: Expression) -> Expression:
@@ -105,9 +112,7 @@ def right_matrix(q: Expression) -> Expression:
     x = q[1]
     y = q[2]
     z = q[3]
-    return ca.vertcat(
-        ca.horzcat(w, -x, -y, -z), ca.horzcat(x, w, z, -y), ca.horzcat(y, -z, w, x), ca.horzcat(z, y, -x, w)
-    )
+    return ca.blockcat([[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]])
 
 
 def quaternion_rate(q: Expression, w: Expression) -> Expression:
@@ -129,5 +134,6 @@ def exponential(phi: Expression) -> Expression:
 def continuous(q: np.ndarray) -> np.ndarray:
     """Quaternions (k, 4) with the sign of each chosen to lie on the side of the one before."""
     flips = np.sum(q[1:] * q[:-1], axis=1) < 0
-    sign = np.concatenate([[1.0], np.where(np.cumsum(flips) % 2, -1.0, 1.0)])
+    later = np.where(np.cumsum(flips) % 2, -1.0, 1.0)
+    sign = np.concatenate([[1.0], later])
     return q * sign[:, None]

@@ -14,7 +14,9 @@ def as_scalars(f: Callable[..., Expression]) -> Callable[..., Expression]:
     def call(*arguments: Expression) -> Expression:
         symbols = [ca.SX.sym(f"a{i}", argument.sparsity()) for i, argument in enumerate(arguments)]
         results = f(*symbols)
-        results = ca.cse(list(results) if isinstance(results, (list, tuple)) else [results])
-        return ca.Function(f.__name__.strip("_"), symbols, results)(*arguments)
+        if not isinstance(results, (list, tuple)):
+            results = [results]
+        function = ca.Function(f.__name__.strip("_"), symbols, ca.cse([*results]))
+        return function(*arguments)
 
     return call

@@ -69,7 +69,11 @@ def rk4_sensitivity_function(
         added=(n, 3),
         disturbance=N_DISTURBANCE,
     )
-    x, thrust = (start[:N_STATE], start[N_STATE:]) if lag else (start, u)
+    x = start
+    thrust = u
+    if lag:
+        x = start[:N_STATE]
+        thrust = start[N_STATE:]
     if added:
         thrust = thrust + plus[:, 0]
     slope = _slope_function(vehicle, residual, dense=not scalar)
@@ -81,20 +85,30 @@ def rk4_sensitivity_function(
         k, G = slope(x_stage, u, y, dy_dz)
         return k, _by_command(G, *a) + c * (G[:, :N_MOTION] @ S)
 
-    parts: tuple[Callable[..., Expression], ...] = (chained_stage, _combine)
-    stage, combine = (as_scalars(f) if scalar else f for f in parts)
+    stage: Callable[..., Expression] = chained_stage
+    combine: Callable[..., Expression] = _combine
+    if scalar:
+        stage = as_scalars(stage)
+        combine = as_scalars(combine)
     compact = scalar and not flat
 
     def pushed(k: Expression) -> Expression:
-        return as_scalars(disturbed_derivative)(k, disturbance) if disturbed else k
+        if not disturbed:
+            return k
+        return as_scalars(disturbed_derivative)(k, disturbance)
 
     k, S = slope(x, thrust, *residual.function(as_scalars(body_features)(x, thrust), theta))
     k = pushed(k)
     slopes = [k]
-    sensitivities = [ca.horzcat(S, kind(N_MOTION, n)) if lag else S]
+    if lag:
+        S = ca.horzcat(S, kind(N_MOTION, n))
+    sensitivities = [S]
     for c, column in ((dt / 2, 1), (dt / 2, 1), (dt, 2)):
-        share = [ca.exp(-c / tau)] if lag else []
-        delivered = lagging_thrust(start[N_STATE:], u, c, tau) if lag else u
+        share = []
+        delivered = u
+        if lag:
+            share = [ca.exp(-c / tau)]
+            delivered = lagging_thrust(start[N_STATE:], u, c, tau)
         if added:
             delivered = delivered + plus[:, column]
         x_stage, z = as_scalars(_stage_point)(x, delivered, slopes[-1], c)
@@ -113,8 +127,12 @@ def rk4_sensitivity_function(
     elif not scalar:
         outputs = [ca.densify(output) for output in outputs]
     inputs = {"x": start, "u": u, "theta": theta, "dt": dt}
-    further = {"tau": (lag, tau), "added": (added, plus), "disturbance": (disturbed, disturbance)}
-    inputs |= {name: symbol for name, (asked, symbol) in further.items() if asked}
+    if lag:
+        inputs["tau"] = tau
+    if added:
+        inputs["added"] = plus
+    if disturbed:
+        inputs["disturbance"] = disturbance
     return named_function("node", inputs, named(("x_next", "A", "B"), outputs))
 
 
@@ -146,9 +164,10 @@ def _with_thrusts(
 ) -> list[Expression]:
     """x_next, A, B with the thrusts as states; by_inputs (13, 2 n): by the first thrusts and by the commands."""
     n = thrust.size1()
-    unit = type(thrust).eye(thrust.size1())
-    A = ca.vertcat(ca.horzcat(A, by_inputs[:, :n]), ca.horzcat(type(A)(n, N_STATE), a * unit))
-    return [ca.vertcat(x_next, thrust), A, ca.vertcat(by_inputs[:, n:], (1 - a) * unit)]
+    unit = type(thrust).eye(n)
+    A = ca.blockcat([[A, by_inputs[:, :n]], [type(A)(n, N_STATE), a * unit]])
+    B = ca.vertcat(by_inputs[:, n:], (1 - a) * unit)
+    return [ca.vertcat(x_next, thrust), A, B]
 
 
 def _stage_point(x: Expression, u: Expression, k: Expression, c: Expression) -> tuple[Expression, Expression]:
@@ -171,7 +190,8 @@ def _combine(
     d_position = dt * start[MOTION_VELOCITY, :] + dt * dt / 6 * three[MOTION_VELOCITY, :]
     d_state = ca.vertcat(d_position, d_motion)
     A = ca.horzcat(ca.vertcat(kind.eye(3), kind(N_MOTION, 3)), d_state[:, :N_MOTION])
-    return [x + dt / 6 * (k1 + 2 * (k2 + k3) + k4), A, d_state[:, N_MOTION:]]
+    x_next = x + dt / 6 * (k1 + 2 * (k2 + k3) + k4)
+    return [x_next, A, d_state[:, N_MOTION:]]
 
 
 def _slope_function(vehicle: Vehicle, residual: Correction, *, dense: bool) -> ca.Function:
@@ -187,10 +207,11 @@ def _slope_function(vehicle: Vehicle, residual: Correction, *, dense: bool) -> c
     derivative = state_derivative(x, u, vehicle, correction)
     motion = ca.vertcat(x[3:], u)
     features = body_features(x, u)
-    partial, by_correction, derivative = (
-        ca.substitute(expression, correction, ca.densify(y))
-        for expression in (ca.jacobian(derivative[3:], motion), ca.jacobian(derivative[3:], correction), derivative)
-    )
-    G = partial + by_correction @ (dy_dz @ ca.jacobian(features, motion))
+    by_motion = ca.jacobian(derivative[3:], motion)
+    by_correction = ca.jacobian(derivative[3:], correction)
+    corrected = [by_motion, by_correction, derivative]
+    by_motion, by_correction, derivative = ca.substitute(corrected, [correction], [ca.densify(y)])
+    by_features = by_correction @ (dy_dz @ ca.jacobian(features, motion))
+    G = by_motion + by_features
     G = ca.densify(G) if dense else ca.sparsify(G)
     return ca.Function("slope", [x, u, y, dy_dz], ca.cse([derivative, G]))

@@ -27,12 +27,15 @@ def dshot_speed(speed: Expression, pole_pairs: int) -> Expression:
     turn = 2 * math.pi / (MICROSECOND * pole_pairs)  # of the field, rad/s of the rotor times its period in us
     period = turn / ca.fmax(speed, SLOWEST)
     unit = 2 ** sum(period >= MANTISSA * 2**e for e in range(LARGEST_EXPONENT))
-    return turn / (unit * ca.fmin(ca.floor(period / unit), MANTISSA - 1))
+    mantissa = ca.fmin(ca.floor(period / unit), MANTISSA - 1)
+    return turn / (unit * mantissa)
 
 
 def in_steps(value: Expression, step: float) -> Expression:
     """The nearest whole multiple of a step; the value itself where the step is 0."""
-    return step * ca.floor(value / step + 0.5) if step else value
+    if not step:
+        return value
+    return step * ca.floor(value / step + 0.5)
 
 
 def vibration(angle: Expression, speed: Expression, hover: float, amplitude: Expression, cutoff: float) -> Expression:

@@ -176,8 +176,12 @@ def plausible(vehicle: Vehicle) -> Vehicle:
     for value, name, number, low, high, meant in _ratios(vehicle):
         if not low <= number <= high:
             units = [unit for unit, factor in meant.items() if low <= number * factor <= high]
-            bounds = f"{low:g} to {high:g}" if low else f"at most {high:g}"
-            hint = f"; was it meant in {' or '.join(units)}?" if units else ""
+            bounds = f"at most {high:g}"
+            if low:
+                bounds = f"{low:g} to {high:g}"
+            hint = ""
+            if units:
+                hint = f"; was it meant in {' or '.join(units)}?"
             raise UsageError(f"vehicle.{value}: {name} is {number:.3g}, multirotors have {bounds}{hint}")
     return vehicle
 
@@ -195,7 +199,9 @@ def _ratios(vehicle: Vehicle) -> Iterator[Ratio]:
         cubes = {unit: factor**-3 for unit, factor in LENGTHS.items()}
         yield Ratio(f"rotor_position, an arm of {arm:.4g} m", name, heavy, 5, 5e3, cubes)
     yield Ratio(f"mass={mass:.4g} kg", name, heavy, 5, 5e3, {"g": 1e-3})
-    for moment in (moment for moment in np.linalg.eigvalsh(vehicle.inertia)[::-1] if moment > 0):
+    for moment in np.linalg.eigvalsh(vehicle.inertia)[::-1]:
+        if moment <= 0:
+            continue
         value = f"inertia, a moment of {moment:.4g} kg m^2"
         yield Ratio(value, "moment / (mass arm^2)", moment / (mass * arm**2), 0.015, 3, MOMENTS)
     units = {"gram-force": 9.80665e-3, "mN": 1e-3, "N of all rotors": 1 / n}

@@ -29,8 +29,10 @@ from quadexp.reference.traced import CompiledStep
 
 KINK = 0.5  # m/s^2, N m: change accepted where a rotor reaches its limit, for the whole residual
 SETTLED = 0.3  # m/s^2: until l changes by less per iteration its time derivatives are noise, and set to zero
-PATIENCE, PROGRESS = 12, 0.5  # iterations within which the change must fall to this share of its smallest value so far
-FALLING, SHORTEST = 0.9, 0.1  # where the change does not fall to this share, the step is halved, down to the second
+PATIENCE = 12  # iterations within which the change must fall ..
+PROGRESS = 0.5  # .. to this share of its smallest value so far
+FALLING = 0.9  # where the change does not fall to this share, the step is halved ..
+SHORTEST = 0.1  # .. down to this share
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,10 @@ class _Iteration:
             if settled and change.max() < self.settings.tolerance:
                 return replace(result, failure="")
             falls = change.max() < PROGRESS * smallest
-            smallest, waited = (change.max(), 0) if falls else (smallest, waited + 1)
+            waited += 1
+            if falls:
+                smallest = change.max()
+                waited = 0
             if waited >= PATIENCE:
                 return replace(result, failure="stalled")
         return result

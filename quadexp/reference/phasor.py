@@ -17,5 +17,6 @@ def phasor(angle: np.ndarray) -> np.ndarray:
     """
     x1, x2, x3, x4 = 1j * angle[:, 1:].T
     fourth = x1**4 + 6 * x1**2 * x2 + 4 * x1 * x3 + 3 * x2**2 + x4
-    bell = np.stack([np.ones_like(x1), x1, x1**2 + x2, x1**3 + 3 * x1 * x2 + x3, fourth], axis=1)
+    third = x1**3 + 3 * x1 * x2 + x3
+    bell = np.stack([np.ones_like(x1), x1, x1**2 + x2, third, fourth], axis=1)
     return np.exp(1j * angle[:, :1]) * bell

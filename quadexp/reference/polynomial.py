@@ -34,7 +34,9 @@ from quadexp.reference.time_grid import TimeGrid
 DEGREE = 7  # of a minimum-snap polynomial
 _REAL = 1e-6  # largest imaginary part of a real root, relative to the length of the piece
 SPEED = "speed"  # the limit where the requested speed is reached first
-STEPS, FEWEST, MOST = 64, 16, 30_000  # grid points: per mean piece, least per piece, most in total
+STEPS = 64  # grid points per mean piece
+FEWEST = 16  # least per piece
+MOST = 30_000  # most in total
 DOUBLINGS = 60  # of the factor, before the limits are considered unreachable
 NEAR_LIMIT = 0.1  # share of the hover thrust; with less range to a limit, hover itself restricts the path
 TOLERANCE = 1e-9  # of the logarithm of the factor

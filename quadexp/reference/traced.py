@@ -51,8 +51,9 @@ class Symbols(np.ndarray):
 
 
 def _element(function: Callable[..., Any], inputs: int) -> np.ufunc:
-    identity = {"identity": None} if inputs == 2 else {}
-    return np.frompyfunc(function, inputs, 1, **identity)
+    if inputs == 2:
+        return np.frompyfunc(function, inputs, 1, identity=None)
+    return np.frompyfunc(function, inputs, 1)
 
 
 _BY_ELEMENT: dict[Any, np.ufunc] = {
@@ -79,7 +80,9 @@ def _solve(system: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _symbols(array: Any) -> Any:
-    return array.astype(object).view(Symbols) if isinstance(array, np.ndarray) else array
+    if not isinstance(array, np.ndarray):
+        return array
+    return array.astype(object).view(Symbols)
 
 
 def _column(vector: ca.SX, shape: Sequence[int]) -> Symbols:
@@ -106,9 +109,12 @@ class CompiledStep:
         self._calculus = calculus
         functions = compiled_steps(vehicle, residual.form(True), demand.yaw is None)
         self._first, self._step = map(BufferedFunction, functions)
-        self._step.arguments["theta"].ravel()[:], self._step.arguments["share"][:] = residual.theta, model.share
+        self._step.arguments["theta"].ravel()[:] = residual.theta
+        self._step.arguments["share"][:] = model.share
         self._rows = np.zeros((len(demand.t), N_DEMAND + N_AIR + 1))
-        yaw = np.zeros((3, len(demand.t))) if demand.yaw is None else demand.yaw
+        yaw = demand.yaw
+        if yaw is None:
+            yaw = np.zeros((3, len(demand.t)))
         moving = [demand.path[1], demand.path[3], demand.path[4], demand.specific_force, yaw]
         self._rows[:, :N_DEMAND] = np.concatenate(moving).T
 
@@ -136,7 +142,9 @@ def compiled_steps(vehicle: Vehicle, residual: ca.Function, free_heading: bool) 
     velocity, jerk, snap, force, yaw = (rows[3 * i : 3 * i + 3] for i in range(5))
     outputs = rows[N_DEMAND:]
     air = Air(outputs[:N_OUTPUTS], outputs[N_OUTPUTS : N_OUTPUTS + 2], outputs[N_OUTPUTS + 2 :])
-    path = _symbols(np.stack([np.asarray(v) for v in (0 * velocity, velocity, 0 * velocity, jerk, snap)]))
+    nothing = 0 * velocity
+    derivatives = [np.asarray(value) for value in (nothing, velocity, nothing, jerk, snap)]
+    path = _symbols(np.stack(derivatives))
     demand = _DemandOfSymbols(np.zeros(1), path, force, None if free_heading else yaw)
     frame = demand.tilt(air.outputs[:2])
     o, o_dot = frame.rates(jerk, snap, air.lateral_1, air.lateral_2)

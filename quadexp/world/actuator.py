@@ -95,13 +95,15 @@ class Actuator(Effect):
 
     def among(self, effects: Sequence[Effect]) -> Effect:
         """Without inertia and factors of the rotors nothing is added to a step."""
-        pushes = self.rotor_inertia or self.flight_scale_std or self.rotor_scale_std
-        return PushingActuator(**asdict(self)) if pushes else self
+        if not (self.rotor_inertia or self.flight_scale_std or self.rotor_scale_std):
+            return self
+        return PushingActuator(**asdict(self))
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         """Raises UsageError for what needs speeds where the vehicle has no thrust coefficient."""
-        asked = {key: getattr(self, key) for key in ("rotor_speed_min", "rotor_speed_max")}
-        for name, value in (asked | {"rotor_inertia": self.rotor_inertia or None}).items():
+        asked = {"rotor_speed_min": self.rotor_speed_min, "rotor_speed_max": self.rotor_speed_max}
+        asked["rotor_inertia"] = self.rotor_inertia or None
+        for name, value in asked.items():
             if value is not None and vehicle.thrust_coefficient is None:
                 raise UsageError(
                     f"actuator.{name}={value:g}: needs vehicle.thrust_coefficient, which"
@@ -113,7 +115,9 @@ class Actuator(Effect):
         vehicle = start.vehicle
         k = vehicle.thrust_coefficient or 0.0
         low = k * (self.rotor_speed_min or 0.0) ** 2
-        high = math.inf if self.rotor_speed_max is None else k * self.rotor_speed_max**2
+        high = math.inf
+        if self.rotor_speed_max is not None:
+            high = k * self.rotor_speed_max**2
         if not low <= vehicle.hover_thrust <= high:
             raise UsageError(
                 f"actuator: rotors between {low:.3g} and {high:.3g} N by their speeds, hovering takes"
@@ -122,7 +126,8 @@ class Actuator(Effect):
         constants = [max(constant, NO_LAG) for constant in (self.time_constant_up, self.time_constant_down)]
         decays = [math.exp(-start.clock.step / 2 / constant) for constant in constants]
         thrust = np.clip(start.thrust, low, high)
-        inner = np.concatenate([np.array(self._lagging(thrust)).ravel(), first_rotor_column(vehicle, thrust)])
+        lagging = np.array(self._lagging(thrust)).ravel()
+        inner = np.concatenate([lagging, first_rotor_column(vehicle, thrust)])
         return inner, np.array([*decays, low, high, rotor_column_factor(vehicle)])
 
     def columns(self, clock: Clock, vehicle: Vehicle) -> Mapping[str, int]:
@@ -142,7 +147,9 @@ class Actuator(Effect):
 
     def _lagging(self, thrust: Any) -> Any:
         """Y of a thrust."""
-        return ca.sqrt(thrust) if self.lag_of == "rotor_speed" else thrust
+        if self.lag_of == "thrust":
+            return thrust
+        return ca.sqrt(thrust)
 
     def _after(self, at: Moment) -> tuple[Expression, Expression]:
         """y (n,) in the middle and at the end of the step."""
@@ -154,7 +161,9 @@ class Actuator(Effect):
 
     def _thrust(self, y: Expression) -> Expression:
         """k W^2 (n,) (N)."""
-        return y**2 if self.lag_of == "rotor_speed" else y
+        if self.lag_of == "thrust":
+            return y
+        return y**2
 
     @property
     def idle(self) -> bool:
@@ -184,9 +193,11 @@ class PushingActuator(Actuator):
 
     def wrench(self, at: Moment) -> tuple[Expression, Expression]:
         middle, end = self._after(at)
-        first = at.inner[: middle.numel()]
         n = middle.numel()
-        before, between, after = (ca.dot(at.parameters[-n:], self._root(y)) for y in (first, middle, end))
+        per_root = at.parameters[-n:]
+        before = ca.dot(per_root, self._root(at.inner[:n]))
+        between = ca.dot(per_root, self._root(middle))
+        after = ca.dot(per_root, self._root(end))
         w = at.x[RATE]
         torque = ca.vertcat(w[1] * between, -w[0] * between, (after - before) / at.step)
         more = ca.reshape(at.parameters[N_FIXED:-n], 4, n) @ at.thrust
@@ -194,7 +205,9 @@ class PushingActuator(Actuator):
 
     def _root(self, y: Expression) -> Expression:
         """Root of the thrusts (n,) that the motors give."""
-        return y if self.lag_of == "rotor_speed" else ca.sqrt(ca.fmax(y, 0))
+        if self.lag_of == "thrust":
+            y = ca.sqrt(ca.fmax(y, 0))
+        return y
 
 
 def log_normal(std: float, drawn: Any) -> Any:
@@ -205,7 +218,9 @@ def log_normal(std: float, drawn: Any) -> Any:
 
 def rotor_column_names(vehicle: Vehicle, first: int) -> Mapping[str, int]:
     """Columns of n inner states from `first` on."""
-    name = "delivered" if vehicle.thrust_coefficient is None else "rotor_speed"
+    name = "rotor_speed"
+    if vehicle.thrust_coefficient is None:
+        name = "delivered"
     return {f"{name}_{i}": first + i for i in range(vehicle.n_rotors)}
 
 
@@ -223,4 +238,6 @@ def rotor_column(thrust: Expression, factor: Expression) -> Expression:
 def first_rotor_column(vehicle: Vehicle, thrust: np.ndarray) -> Any:
     """The columns at thrusts (n,) (N); (n,)."""
     k = vehicle.thrust_coefficient
-    return thrust if k is None else np.sqrt(thrust / k)
+    if k is None:
+        return thrust
+    return np.sqrt(thrust / k)

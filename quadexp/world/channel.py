@@ -105,7 +105,9 @@ class Channel:
 
     def _waiting(self, clock: Clock) -> int:
         """Most readings that are on their way when a control period begins. Raises UsageError for too many."""
-        slots = Ticking(0, 1 / self.rate, clock.period).slots if self.rate else 1
+        slots = 1
+        if self.rate:
+            slots = Ticking(0, 1 / self.rate, clock.period).slots
         if slots > MOST:
             raise UsageError(
                 f"sensor.{self.message}_rate={self.rate:g}: {slots} readings in a control period of"
@@ -115,16 +117,20 @@ class Channel:
 
     def sizes(self, clock: Clock) -> Sizes:
         """See Effect.sizes."""
-        waiting = (1 + self.size + (2 + self.size) * self._waiting(clock)) * self.waits
+        inner = self.taken + 1 + self.size
+        if self.waits:
+            inner += 1 + self.size + (2 + self.size) * self._waiting(clock)
         drawn = self.drawn(clock)
-        return Sizes(self.taken + 1 + self.size + waiting, 2 * self.errors + 5, (*drawn.values(),), (*drawn,))
+        return Sizes(inner, 2 * self.errors + 5, (*drawn.values(),), (*drawn,))
 
     def start(self, rng: np.random.Generator, clock: Clock, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See Effect.start. value: what an exact sensor reads then, (size,)."""
         drift = self.first * rng.standard_normal(self.taken)
         waiting = np.tile([NEVER, 0.0, *np.zeros(self.size)], self._waiting(clock))
         reading = np.concatenate([[0.0], value])
-        inner = [drift, reading] + [reading, waiting] * self.waits
+        inner = [drift, reading]
+        if self.waits:
+            inner += [reading, waiting]
         numbers = [self.decay, self.gain, self.delay, self.jitter, self.drop]
         return np.concatenate(inner), np.concatenate([self.noise, self.bias, numbers])
 
@@ -136,30 +142,40 @@ class Channel:
         m = self.errors
         begins = at.t - at.clock.period
         drawn = self.drawn(at.clock)
-        noise, bias, (decay, gain, delay, jitter, drop) = (
-            at.parameters[:m], at.parameters[m : 2 * m], ca.vertsplit(at.parameters[2 * m :]),
-        )  # fmt: skip
+        noise, bias, *numbers = split(at.parameters, (m, m, 1, 1, 1, 1, 1))
+        decay, gain, delay, jitter, drop = numbers
         draws = named(drawn, split(at.draws, (drawing.size for drawing in drawn.values())))
         drifts = [(-NEVER, at.inner[: self.taken])]  # each with the time from which on it holds
-        for tick in ca.vertsplit(draws[f"{self.name} drift"], 1 + m) if self.drifts else []:
+        ticks = draws.get(f"{self.name} drift", ca.MX(0, 1))
+        for tick in ca.vertsplit(ticks, 1 + m):
             before = drifts[-1][1]
-            drifts.append((tick[0], ca.if_else(tick[0] < NEVER, decay * before + gain * tick[1:], before)))
+            after = decay * before + gain * tick[1:]
+            drifts.append((tick[0], ca.if_else(tick[0] < NEVER, after, before)))
 
         def slow_at(time: Any) -> Any:
             drift = drifts[0][1]
             for tick, after in drifts[1:]:
                 drift = ca.if_else(tick <= time + ROUNDING, after, drift)
-            return bias + drift if self.drifts else bias
+            if not self.drifts:
+                return bias
+            return bias + drift
 
         readings = []  # when it arrives, when it was taken, and itself
-        white = ca.vertsplit(draws[self.name], m + bool(self.rate)) if self.name in draws else [ca.MX.zeros(m)]
+        white = [ca.MX.zeros(m)]
+        if self.name in draws:
+            white = ca.vertsplit(draws[self.name], m + bool(self.rate))
         way = f"{self.message} way"
-        ways = ca.vertsplit(draws[way], 2 + bool(self.rate)) if way in draws else [None] * len(white)
+        ways = [None] * len(white)
+        if way in draws:
+            ways = ca.vertsplit(draws[way], 2 + bool(self.rate))
         for numbers, on_way in zip(white, ways, strict=True):
-            offset = numbers[0] - begins if self.rate else self._offset(at.clock)
+            offset = self._offset(at.clock)
+            lost = ca.MX(0)
+            if self.rate:
+                offset = numbers[0] - begins
+                lost = numbers[0] >= NEVER
             time = begins + offset
             arrives = time + delay
-            lost = numbers[0] >= NEVER if self.rate else ca.MX(0)
             if on_way is not None:
                 share, dropped = on_the_way(on_way[-2:], drop)
                 arrives = arrives + jitter * share
@@ -170,10 +186,11 @@ class Channel:
         latest = readings[-1][1:]
         if not self.waits:
             return ca.vertcat(drift, latest), latest[1:]
-        first = self.taken + 1 + self.size
         count = len(readings)
-        base = at.inner[first : first + 1 + self.size]
-        readings = [*ca.vertsplit(at.inner[first + 1 + self.size :], 2 + self.size), *readings]
+        first = self.taken + 1 + self.size
+        end = first + 1 + self.size
+        base = at.inner[first:end]
+        readings = [*ca.vertsplit(at.inner[end:], 2 + self.size), *readings]
         for reading in readings[:count]:  # which have arrived, if ever
             base = ca.if_else(reading[0] < NEVER, reading[1:], base)
         latest = base

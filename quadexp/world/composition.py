@@ -14,43 +14,25 @@ The accelerometer's specific force gets R^T F / m besides. m is the mass that th
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from quadexp.compile.symbolic import ca
+from quadexp.names import named
 from quadexp.physics.expression import split, symbols
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.asked import asked, measured_by
-from quadexp.world.effect import Clock, Effect, Measured, Moment, Readings, Sizes
+from quadexp.world.effect import Clock, Effect, Layout, Measured, Moment, Readings
 from quadexp.world.integrator import INPUTS, OUTPUTS, Equations, period
+from quadexp.world.repetition import repeated, trimmed
 
 WORLD_INPUTS = (*INPUTS, "draws", "time")
 WORLD_OUTPUTS = (*OUTPUTS, "measured")
-WRITTEN_OUT = 100  # integration steps of a control period that are not a loop
-IN_STEP = ("t", "x", "own", "parameters", "step", "wind", "thrusts")  # what effects see of a step
+KINDS = ("inner", "parameters", "draws")  # of an effect's numbers
+IN_STEP = ("t", "x", "inner", "parameters", "step", "wind", "thrusts")  # what effects see of a step
 WIND = 3  # inner states at the end: the wind of the last step, world (m/s)
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Where the numbers of airframe and effects stand: the airframe's first, then each effect's, then the wind."""
-
-    airframe: Sizes
-    effects: tuple[Sizes, ...]
-
-    def ends(self, kind: str) -> list[int]:
-        """Where each begins, and the end of all: offsets for vertsplit."""
-        offsets = [0]
-        for sizes in (self.airframe, *self.effects):
-            offsets.append(offsets[-1] + getattr(sizes, kind))
-        return offsets
-
-    def size(self, kind: str) -> int:
-        """How many numbers there are; of the inner states without the wind."""
-        return self.ends(kind)[-1]
 
 
 def compose(
@@ -65,7 +47,10 @@ def compose(
 
     columns: which inner states are columns of a flight, see World.columns.
     """
-    last = max((i + 1 for i, effect in enumerate(effects) if effect.steps()), default=0)
+    last = 0
+    for i, effect in enumerate(effects):
+        if effect.steps():
+            last = i + 1
     stepping = Layout(layout.airframe, layout.effects[:last])  # the rest only measures, once a period
     parts = _Parts(equations, tuple(effects[:last]), stepping, vehicle)
     airframe = layout.airframe
@@ -87,27 +72,28 @@ def compose(
     inner_a, of_effects, measuring, _ = ca.vertsplit(inner, cut)
     theta = parameters[: airframe.parameters]
     known = parameters[: stepping.size("parameters")]
-    begin = parts.inner_after("begin", "t", "x", "own", "u", "parameters", "draws", "step")
+    begin = parts.inner_after("begin", "t", "x", "inner", "u", "parameters", "draws", "step")
     of_effects = begin(time, x, of_effects, u, known, draws[: stepping.size("draws")], step)
+    rest = inner_a
     if equations.begin:
         wind, thrusts, *_ = parts.drive()(time, x, of_effects, u, known, step)
         s, _ = equations.begin(_seen_from_the_air(x, wind), inner_a, thrusts, theta)
         rest = s[N_STATE:]
-    else:
-        rest = inner_a
     state = ca.vertcat(x, rest, parts.chosen(of_effects, parts.moving), ca.MX.zeros(WIND + n + 3))
     times = time + step * ca.DM(range(steps)).T
-    single, used = _trimmed(parts.step())
+    single, used = trimmed(parts.step())
     still = parts.chosen(of_effects, parts.still)[used["still"]]
-    states, *kept = _repeated(single, steps, state, times, noise, (still, u, known[used["parameters"]], step))
+    states, *kept = repeated(single, steps, state, times, noise, (still, u, known[used["parameters"]], step))
 
     begun = of_effects
     last_t = time + clock.period
     x_next, of_effects, inner_a, wind, reading, doubt = parts.settled(states[:, -1], begun, known, theta, last_t, step)
     of_effects = ca.vertcat(of_effects, measuring)
-    names = equations.step.name_out()[1:] if equations.end else []
+    names = []
     forces_kept = None
-    if not equations.end:
+    if equations.end:
+        names = equations.step.name_out()[1:]
+    else:
         forces_kept, *kept = kept
         reading = forces_kept[:, -1]
         doubt = ca.MX(1, 1)
@@ -122,11 +108,15 @@ def compose(
 
     def columns_of(wanted: Sequence[str]) -> ca.MX:
         places = [columns[name] for name in wanted]
-        inner_now = each_step(lambda x, of_effects, inner, *_: ca.vertcat(inner, of_effects)[places])
-        return ca.horzcat(ca.vertcat(inner[: airframe.inner], begun)[places], inner_now)
+        first = ca.vertcat(inner[: airframe.inner], begun)[places]
+        later = each_step(lambda x, of_effects, inner, *_: ca.vertcat(inner, of_effects)[places])
+        return ca.horzcat(first, later)
 
     def forces() -> ca.MX:
-        return states[-3:, :] + (each_step(lambda *after: after[-2]) if equations.end else forces_kept)
+        pushed = states[-3:, :]
+        if not equations.end:
+            return pushed + forces_kept
+        return pushed + each_step(lambda *after: after[-2])
 
     measured = {"state": x_next, "specific_force": reading}
     known_now = (of_effects, parameters, draws, step, clock, vehicle)
@@ -137,39 +127,6 @@ def compose(
     arguments = [x, inner, u, noise, parameters, step, draws, time]
     name = "_".join([equations.step.name(), *(effect.part for effect in effects)])
     return ca.Function(f"{name}_period", arguments, [*results, *kept], WORLD_INPUTS, [*WORLD_OUTPUTS, *names])
-
-
-def _repeated(step: ca.Function, steps: int, state: ca.MX, times: ca.MX, noise: ca.MX, held: Any) -> list[ca.MX]:
-    """Results of all steps, column by column. held: still, u, parameters and step, the same for every step.
-
-    Written out, a call a step, what is held is read where it is; a loop needs a copy of it for every step.
-    """
-    if steps > WRITTEN_OUT:
-        again = [ca.repmat(value, 1, steps) for value in held]
-        return list(step.mapaccum(steps).call([state, times, *again[:2], noise, *again[2:]]))
-    columns = list[list[ca.MX]]()
-    for i in range(steps):
-        columns.append(list(step.call([state, times[i], *held[:2], noise[:, i], *held[2:]])))
-        state = columns[-1][0]
-    return [ca.horzcat(*each) for each in zip(*columns, strict=True)]
-
-
-def _trimmed(step: ca.Function) -> tuple[ca.Function, dict[str, list[int]]]:
-    """A step without the entries of `still` and `parameters` that it does not use, and those that it does.
-
-    They are copied for every step, which costs more than many an effect.
-    """
-    places = {"still": 2, "parameters": 5}
-    used = {name: [*range(step.size1_in(i))] for name, i in places.items()}
-    if not step.is_a("SXFunction"):
-        return step, used
-    arguments = step.sx_in()
-    results = step.call(arguments)
-    for name, i in places.items():
-        needed = ca.which_depends(ca.vertcat(*map(ca.vec, results)), arguments[i], 1, False) if used[name] else []
-        used[name] = [place for place, is_needed in enumerate(needed) if is_needed]
-        arguments[i] = arguments[i][used[name]]
-    return ca.Function(step.name(), arguments, results), used
 
 
 def wind_function(equations: Equations, effects: Sequence[Effect], layout: Layout, vehicle: Vehicle) -> ca.Function:
@@ -184,14 +141,16 @@ def _seen_from_the_air(x: Any, wind: Any) -> Any:
 
 
 class _Parts:
-    """The functions that `compose` joins. Their `own` are the inner states of all effects, one after another."""
+    """The functions that `compose` joins. Inner states: of all effects, one after another."""
 
     def __init__(self, equations: Equations, effects: tuple[Effect, ...], layout: Layout, vehicle: Vehicle) -> None:
         self._equations = equations
         self._effects = effects
         self._layout = layout
         self._vehicle = vehicle
-        self._kind = ca.MX if any(effect.symbols == "MX" for effect in effects) else ca.SX
+        self._kind = ca.SX
+        if any(effect.symbols == "MX" for effect in effects):
+            self._kind = ca.MX
         # Effects whose inner states change from step to step, and those that only use them in the steps.
         self.moving = [i for i, effect in enumerate(effects) if effect.has("advance")]
         acting = [i for i, effect in enumerate(effects) if any(map(effect.has, ("wind", "thrusts", "wrench")))]
@@ -221,48 +180,61 @@ class _Parts:
 
     def _cut(self, value: Any, kind: str) -> list[Any]:
         """The effects' shares of a vector, with the airframe's before them or, of the inner states, without."""
-        ends = self._layout.ends(kind)
-        first = ends[1] if kind == "inner" else 0
-        return [value[low - first : high - first] for low, high in zip(ends[1:-1], ends[2:], strict=True)]
+        first = 0
+        if kind != "inner":
+            first = getattr(self._layout.airframe, kind)
+        pieces = []
+        for sizes in self._layout.effects:
+            end = first + getattr(sizes, kind)
+            pieces.append(value[first:end])
+            first = end
+        return pieces
 
     def _symbols(self, *names: str) -> list[Any]:
-        sizes = {
-            "t": 1, "x": N_STATE, "own": self._layout.size("inner") - self._layout.airframe.inner,
-            "u": self._vehicle.n_rotors, "step": 1, "x_next": N_STATE,
-            "parameters": self._layout.size("parameters"), "draws": self._layout.size("draws"), "wind": WIND,
-            "thrusts": self._vehicle.n_rotors,
-        }  # fmt: skip
+        n = self._vehicle.n_rotors
+        sizes = {"t": 1, "x": N_STATE, "u": n, "step": 1, "x_next": N_STATE, "wind": WIND, "thrusts": n}
+        for kind in KINDS:
+            sizes[kind] = self._layout.size(kind)
+        sizes["inner"] -= self._layout.airframe.inner
         return [self._kind.sym(name, sizes[name]) for name in names]
 
     def _moments(self, **values: Any) -> list[Moment]:
-        """What each effect sees. own, parameters, draws: of all of them."""
-        cut = {
-            name: self._cut(values.pop(name), kind) if name in values else [self._kind(0, 1)] * len(self._effects)
-            for name, kind in (("own", "inner"), ("parameters", "parameters"), ("draws", "draws"))
-        }
-        rest = {"wind": self._kind.zeros(WIND), "thrust": None, "x_next": None, "command": None} | values
-        return [
-            Moment(inner=inner, parameters=theta, draws=draws, **rest)
-            for inner, theta, draws in zip(*cut.values(), strict=True)
-        ]
+        """What each effect sees. inner, parameters, draws: of all of them."""
+        cut = []
+        for kind in KINDS:
+            pieces = [self._kind(0, 1)] * len(self._effects)
+            if kind in values:
+                pieces = self._cut(values[kind], kind)
+            cut.append(pieces)
+        values = {"wind": self._kind.zeros(WIND), "thrust": None, "x_next": None, "command": None} | values
+        moments = []
+        for pieces in zip(*cut, strict=True):
+            moments.append(Moment(**values | named(KINDS, pieces)))
+        return moments
 
     def _function(self, name: str, symbols: list[Any], results: list[Any]) -> ca.Function:
         results = [ca.densify(result) for result in results]
-        return ca.Function(name, symbols, ca.cse(results) if self._kind is ca.SX else results)
+        if self._kind is ca.SX:
+            results = ca.cse(results)
+        return ca.Function(name, symbols, results)
 
     def inner_after(self, hook: str, *names: str) -> ca.Function:
-        """(symbols of these names, with "thrusts" also those that enter each effect ..) -> own after a hook."""
+        """(symbols of these names, with "thrusts" also those that enter each effect ..) -> inner states then."""
         symbols, moments = self._moments_of(names)
         inner = []
         for effect, at in zip(self._effects, moments, strict=True):
-            inner.append(asked(effect, hook, at, sizes=(at.inner.numel(),)) if effect.has(hook) else at.inner)
+            after = at.inner
+            if effect.has(hook):
+                after = asked(effect, hook, at, sizes=(at.inner.numel(),))
+            inner.append(after)
         return self._function(hook, symbols, [ca.vertcat(*inner)])
 
     def _moments_of(self, names: tuple[str, ...]) -> tuple[list[Any], list[Moment]]:
         """Symbols of these names, and what each effect sees of them."""
         symbols = self._symbols(*names)
         called = {"u": "command", "thrusts": "thrust"}
-        moments = self._moments(**{called.get(name, name): symbol for name, symbol in zip(names, symbols, strict=True)})
+        words = [called.get(name, name) for name in names]
+        moments = self._moments(**named(words, symbols))
         if "thrusts" not in names:
             return symbols, moments
         entering = [self._symbols("u")[0] for _ in self._effects]
@@ -270,10 +242,10 @@ class _Parts:
         return [*symbols, *entering], moments
 
     def drive(self) -> ca.Function:
-        """(t, x, own, u, parameters, step) -> wind (3,), thrusts (n,), and those that enter each effect."""
-        symbols = self._symbols("t", "x", "own", "u", "parameters", "step")
-        t, x, of_effects, command, parameters, step = symbols
-        moments = self._moments(t=t, x=x, own=of_effects, parameters=parameters, step=step)
+        """(t, x, inner states, u, parameters, step) -> wind (3,), thrusts (n,), and those that enter each effect."""
+        symbols = self._symbols("t", "x", "inner", "u", "parameters", "step")
+        t, x, inner, command, parameters, step = symbols
+        moments = self._moments(t=t, x=x, inner=inner, parameters=parameters, step=step)
         wind = self._kind.zeros(WIND)
         for effect, at in zip(self._effects, moments, strict=True):
             if effect.has("wind"):
@@ -305,11 +277,13 @@ class _Parts:
         further = equations.step.size1_in(0) - N_STATE
         sizes = [N_STATE, further, self.size(self.moving), WIND, n, 3]
         x, rest, moved, wind, thrusts, _ = split(S, sizes)
-        end = self.inner_after("end", "t", "x", "own", "parameters", "step")
+        end = self.inner_after("end", "t", "x", "inner", "parameters", "step")
         of_effects = end(t, x, self.assembled(moved, of_effects), known, step)
         if not equations.end:
             return x, of_effects, rest, wind, None, None
-        held = equations.command(thrusts, theta) if equations.command else thrusts
+        held = thrusts
+        if equations.command:
+            held = equations.command(thrusts, theta)
         _, inner, reading, doubt = equations.end(ca.vertcat(_seen_from_the_air(x, wind), rest), held, theta)
         return x, of_effects, inner, wind, reading, doubt
 
@@ -318,11 +292,10 @@ class _Parts:
     ) -> ca.MX:
         """What `select` makes of `settled`, (k, steps). times: when the steps began."""
         arguments = [states[:, 0], inner_of_effects, known, theta, times[0], step]
-        S, before, of_effects, of_airframe, began, h = (
-            ca.MX.sym(f"s{i}", argument.numel()) for i, argument in enumerate(arguments)
-        )
-        after = self.settled(S, before, of_effects, of_airframe, began + h, h)
-        settled = ca.Function("settled", [S, before, of_effects, of_airframe, began, h], [select(*after)])
+        variables = [ca.MX.sym(f"s{i}", argument.numel()) for i, argument in enumerate(arguments)]
+        *seen, began, h = variables
+        after = self.settled(*seen, began + h, h)
+        settled = ca.Function("settled", variables, [select(*after)])
         steps = states.size2()
         held = [ca.repmat(value, 1, steps) for value in (inner_of_effects, known, theta)]
         return settled.map(steps)(states, *held, times, ca.repmat(step, 1, steps))
@@ -349,10 +322,16 @@ class _Parts:
         wind, thrusts, *entering = self.drive()(t, x, of_effects, u, parameters, step)
         pushes = any(effect.has("wrench") for effect in self._effects)
         blows = any(effect.has("wind") for effect in self._effects)
-        held = equations.command(thrusts, theta) if equations.command else thrusts
-        delivered = equations.thrust(ca.vertcat(x, rest), held, theta, step) if equations.thrust else thrusts
+        held = thrusts
+        if equations.command:
+            held = equations.command(thrusts, theta)
+        delivered = thrusts
+        if equations.thrust:
+            delivered = equations.thrust(ca.vertcat(x, rest), held, theta, step)
         force, torque = self.pushes()(t, x, of_effects, parameters, step, wind, delivered, *entering)
-        mass = equations.mass(theta) if equations.mass else self._vehicle.mass
+        mass = self._vehicle.mass
+        if equations.mass:
+            mass = equations.mass(theta)
         kick = step / 2 * force / mass
         turn = step / 2 * (ca.inv(ca.DM(self._vehicle.inertia_matrix)) @ torque)
 
@@ -361,8 +340,10 @@ class _Parts:
                 return state
             return ca.vertcat(state[: VELOCITY.start], state[VELOCITY] + kick, state[RATE] + turn)
 
-        seen = kicked(_seen_from_the_air(x, wind) if blows else x)
-        s, *kept = equations.step.call([ca.vertcat(seen, rest), held, noise, theta, step])
+        seen = x
+        if blows:
+            seen = _seen_from_the_air(x, wind)
+        s, *kept = equations.step.call([ca.vertcat(kicked(seen), rest), held, noise, theta, step])
         x_next = kicked(s[:N_STATE])
         rest = s[N_STATE:]
         if blows:
@@ -370,7 +351,9 @@ class _Parts:
         if self.moving:
             advance = self.inner_after("advance", *IN_STEP, "x_next")
             of_effects = advance(t, x, of_effects, parameters, step, wind, thrusts, x_next, *entering)
-        pushed = rotation_matrix(x_next[ATTITUDE]).T @ (force / mass) if pushes else ca.MX.zeros(3)
+        pushed = ca.MX.zeros(3)
+        if pushes:
+            pushed = rotation_matrix(x_next[ATTITUDE]).T @ (force / mass)
         S_next = ca.vertcat(x_next, rest, self.chosen(of_effects, self.moving), wind, thrusts, pushed)
         function = ca.Function("world_step", [S, t, still, u, noise, parameters, step], [S_next, *kept])
         if self._kind is not ca.SX or not equations.step.is_a("SXFunction"):
@@ -381,9 +364,9 @@ class _Parts:
 
     def ended(self, of_effects: Any, parameters: Any, doubt: Any) -> Any:
         """The doubt of the airframe, or that an effect ends the flight: Python then says why."""
-        for effect, inner, theta in zip(
-            self._effects, self._cut(of_effects, "inner"), self._cut(parameters, "parameters"), strict=True
-        ):
+        inner_states = self._cut(of_effects, "inner")
+        settings = self._cut(parameters, "parameters")
+        for effect, inner, theta in zip(self._effects, inner_states, settings, strict=True):
             if effect.has("ended"):
                 doubt = ca.fmax(doubt, asked(effect, "ended", inner, theta, sizes=(1,)))
         return doubt
@@ -392,9 +375,10 @@ class _Parts:
         """The inner states of all effects after the period, and what the controller is given. seen: with those before,
         and all parameters and draws."""
         inner_states = []
-        cut = [self._cut(getattr(seen, name), name) for name in ("inner", "parameters", "draws")]
+        cut = [self._cut(getattr(seen, kind), kind) for kind in KINDS]
         for effect, inner, theta, drawn in zip(self._effects, *cut, strict=True):
+            inner_now = inner
             if effect.has("measure"):
-                inner, measured = measured_by(effect, seen, (inner, theta, drawn), measured)
-            inner_states.append(inner)
+                inner_now, measured = measured_by(effect, seen, (inner, theta, drawn), measured)
+            inner_states.append(inner_now)
         return ca.vertcat(*inner_states), measured

@@ -15,7 +15,7 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.parts.settings import Triple, key, keyed
-from quadexp.physics.expression import Expression
+from quadexp.physics.expression import Expression, split
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.effect import Clock, Effect, Moment, Sizes, Start
 
@@ -24,7 +24,9 @@ ZERO = (0.0, 0.0, 0.0)
 
 def active_share(t: Expression, step: Expression, start: Expression, end: Expression) -> Expression:
     """Share of the step (s) from t (s) on that lies between start and end (s), 0 .. 1."""
-    return ca.fmax(ca.fmin(t + step, end) - ca.fmax(t, start), 0) / step
+    first = ca.fmax(t, start)
+    last = ca.fmin(t + step, end)
+    return ca.fmax(last - first, 0) / step
 
 
 @keyed
@@ -47,9 +49,12 @@ class Disturbance(Effect):
         return Sizes(parameters=8)
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        end = math.inf if self.duration is None else self.onset + self.duration
+        end = math.inf
+        if self.duration is not None:
+            end = self.onset + self.duration
         return (), (*self.force, *self.torque, self.onset, end)
 
     def wrench(self, at: Moment) -> tuple[Expression, Expression]:
-        share = active_share(at.t, at.step, at.parameters[6], at.parameters[7])
-        return share * at.parameters[:3], share * at.parameters[3:6]
+        force, torque, onset, end = split(at.parameters, (3, 3, 1, 1))
+        share = active_share(at.t, at.step, onset, end)
+        return share * force, share * torque

@@ -65,6 +65,25 @@ class Sizes(NamedTuple):
         return sum(drawn.size for drawn in self.drawn)
 
 
+@dataclass(frozen=True)
+class Layout:
+    """Where the numbers of airframe and effects stand: the airframe's first, then each effect's, then the wind."""
+
+    airframe: Sizes
+    effects: tuple[Sizes, ...]
+
+    def ends(self, kind: str) -> list[int]:
+        """Where each begins, and the end of all: offsets for vertsplit."""
+        offsets = [0]
+        for sizes in (self.airframe, *self.effects):
+            offsets.append(offsets[-1] + getattr(sizes, kind))
+        return offsets
+
+    def size(self, kind: str) -> int:
+        """How many numbers there are; of the inner states without the wind."""
+        return self.ends(kind)[-1]
+
+
 class Start(NamedTuple):
     """What is known when a flight begins. x: state (13,). duration: s, of the reference. vehicle: the true one.
 
@@ -252,9 +271,9 @@ def ordered(effects: list[Effect]) -> tuple[Effect, ...]:
         if stage not in STAGES:
             raise UsageError(f"{effect.class_path}: its stage is {stage!r}; it must be one of {', '.join(STAGES)}")
     parts = [effect.part for effect in effects]
-    twice = next((part for part in parts if parts.count(part) > 1), None)
+    twice = [part for part in parts if parts.count(part) > 1]
     if twice:
-        raise UsageError(f"{twice}: two effects of that name; each needs one of its own")
+        raise UsageError(f"{twice[0]}: two effects of that name; each needs one of its own")
     return tuple(sorted(effects, key=lambda effect: STAGES.index(effect.stage)))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from quadexp.compile.symbolic import ca
 from quadexp.parts.settings import Triple, key, keyed
-from quadexp.physics.expression import Expression, limited
+from quadexp.physics.expression import Expression, limited, split
 from quadexp.physics.vehicle import Vehicle
 from quadexp.world.constant_wind import MeanWind
 from quadexp.world.effect import Clock, Moment, Sizes, Start
@@ -26,7 +26,8 @@ def one_minus_cosine(t: Expression, start: Expression, duration: Expression, amp
     start t_0 and duration D: s.
     """
     share = limited((t - start) / duration, 0, 1)  # both ends are zeros of the shape
-    return amplitude / 2 * (1 - ca.cos(2 * math.pi * share))
+    shape = 1 - ca.cos(2 * math.pi * share)
+    return amplitude / 2 * shape
 
 
 @keyed
@@ -50,5 +51,6 @@ class Gust(MeanWind):
 
     def wind(self, at: Moment) -> Expression:
         """That of the middle of the step."""
-        mean, amplitude, onset, duration = ca.vertsplit(at.parameters, [0, 3, 6, 7, 8])
-        return mean + one_minus_cosine(at.t + at.step / 2, onset, duration, amplitude)
+        mean, amplitude, onset, duration = split(at.parameters, (3, 3, 1, 1))
+        middle = at.t + at.step / 2
+        return mean + one_minus_cosine(middle, onset, duration, amplitude)

@@ -29,12 +29,14 @@ class History(NamedTuple):
         steps = self.clock.steps
         place = time / self.clock.step
         if isinstance(place, ca.MX):
-            return self.values @ ca.fmax(1 - abs(place - ca.DM(range(steps + 1))), 0)
+            away = abs(place - ca.DM(range(steps + 1)))
+            return self.values @ ca.fmax(1 - away, 0)
         later = min(max(math.ceil(place - ROUNDING), 0), steps)
         share = later - place
         if abs(share) < ROUNDING:
             return self.values[:, later]
-        return share * self.values[:, later - 1] + (1 - share) * self.values[:, later]
+        before = share * self.values[:, later - 1]
+        return before + (1 - share) * self.values[:, later]
 
     def unit_at(self, time: Any) -> ca.MX:
         """Likewise, of unit length: of attitudes."""
@@ -48,11 +50,15 @@ class History(NamedTuple):
         decay, before, now = low_pass(cutoff, self.clock.step)
         driven = before * self.values[:, :-1] + now * self.values[:, 1:]
         steps = np.arange(self.clock.steps + 1)
-        gains = np.where(steps[:, None] <= steps, decay ** np.maximum(steps - steps[:, None], 0), 0.0)
-        return History(ca.horzcat(first, driven) @ ca.DM(gains), self.clock)
+        elapsed = steps - steps[:, None]
+        gains = np.where(elapsed >= 0, decay ** np.maximum(elapsed, 0), 0.0)
+        passed = ca.horzcat(first, driven) @ ca.DM(gains)
+        return History(passed, self.clock)
 
     def integral(self, first: ca.MX) -> History:
         """first, (k,), and what has come to it since the period began."""
         means = (self.values[:, :-1] + self.values[:, 1:]) / 2
-        gained = self.clock.step * ca.cumsum(ca.horzcat(ca.MX.zeros(first.numel()), means), 1)
-        return History(ca.repmat(first, 1, self.clock.steps + 1) + gained, self.clock)
+        nothing = ca.MX.zeros(first.numel())
+        gained = self.clock.step * ca.cumsum(ca.horzcat(nothing, means), 1)
+        values = ca.repmat(first, 1, self.clock.steps + 1) + gained
+        return History(values, self.clock)

@@ -74,7 +74,9 @@ class Equations:
     @property
     def inner_size(self) -> int:
         """Inner states m."""
-        return self.end.size1_out(1) if self.end else self.step.size1_in(0) - N_STATE
+        if self.end:
+            return self.end.size1_out(1)
+        return self.step.size1_in(0) - N_STATE
 
 
 def integrate(method: str, slope: Callable[[Expression], Expression], s: Expression, step: Expression) -> Expression:
@@ -101,12 +103,13 @@ def period(equations: Equations, steps: int) -> ca.Function:
     s, held = begin(x, inner, u, parameters) if begin else (ca.vertcat(x, inner), u)
     again = [ca.repmat(value, 1, steps) for value in (held, parameters, step)]
     states, *kept = function.mapaccum(steps).call([s, again[0], noise, *again[1:]])
+    names = []
     if end:
         results = [*end(states[:, -1], held, parameters), *kept]
+        names = function.name_out()[1:]
     else:
         results = [states[:N_STATE, -1], states[N_STATE:, -1], kept[0][:, -1], ca.MX(1, 1)]
     arguments = [x, inner, u, noise, parameters, step]
-    names = function.name_out()[1:] if end else []
     return ca.Function(f"{function.name()}_period", arguments, results, INPUTS, [*OUTPUTS, *names])
 
 
@@ -134,7 +137,9 @@ class SimulatedPlant:
         self.reset()
 
     def reset(self) -> None:
-        self.time, self.inner = 0.0, self.initial(np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust))
+        hovering = np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust)
+        self.time = 0.0
+        self.inner = self.initial(hovering)
         needed = (self.equations.inner_size,)
         if np.shape(self.inner) != needed:
             said = f"initial gives inner states of shape {np.shape(self.inner)}"
@@ -157,7 +162,9 @@ class SimulatedPlant:
         """What the equations draw in control periods (s), and its stream."""
         numbers = self.equations.step.size1_in(2)
         bounds = np.linspace(0, period, self.steps(period) + 1)
-        return [(rng, Held(numbers, tuple(bounds.tolist())))] if numbers else []
+        if not numbers:
+            return []
+        return [(rng, Held(numbers, tuple(bounds.tolist())))]
 
     def initial(self, thrust: np.ndarray) -> np.ndarray:
         """Inner states at the beginning of a flight whose rotors give these thrusts (n,) (N); (m,)."""

@@ -48,7 +48,7 @@ class Latency(Effect):
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         n = vehicle.n_rotors
-        return Sizes(inner=n + self._kept(clock) * (n + 1), parameters=3, drawn=(Sampled(2, (0.0,)),))
+        return Sizes(n + self._kept(clock) * (n + 1), parameters=3, drawn=(Sampled(2, (0.0,)),))
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         waiting = np.tile([*start.thrust, NEVER], self._kept(start.clock))
@@ -57,7 +57,9 @@ class Latency(Effect):
     def begin(self, at: Moment) -> Expression:
         """The oldest command is no longer kept, the new one is sent."""
         n = at.command.numel()
-        base = ca.if_else(at.inner[-1] < NEVER, at.inner[-n - 1 : -1], at.inner[:n])
+        base = at.inner[:n]
+        oldest = at.inner[-n - 1 :]
+        base = ca.if_else(oldest[n] < NEVER, oldest[:n], base)
         latency, jitter, drop = ca.vertsplit(at.parameters)
         share, lost = on_the_way(at.draws, drop)
         arrives = ca.if_else(lost, NEVER, at.t + latency + jitter * share)
@@ -68,9 +70,11 @@ class Latency(Effect):
         n = at.command.numel()
         acting = 0
         thrusts = 0
-        for first in range(n, at.inner.numel(), n + 1):  # the newest first; acting: share of the step from then on
-            since = at.t + at.step - ROUNDING - at.inner[first + n]
-            share = ca.fmax(acting, ca.fmin(since / (at.step - 2 * ROUNDING), 1))
-            thrusts += (share - acting) * at.inner[first : first + n]
+        base = at.inner[:n]
+        for sent in ca.vertsplit(at.inner[n:], n + 1):  # the newest first; acting: share of the step from then on
+            since = at.t + at.step - ROUNDING - sent[n]
+            arrived = ca.fmin(since / (at.step - 2 * ROUNDING), 1)
+            share = ca.fmax(acting, arrived)
+            thrusts += (share - acting) * sent[:n]
             acting = share
-        return thrusts + (1 - acting) * at.inner[:n]
+        return thrusts + (1 - acting) * base

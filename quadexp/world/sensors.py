@@ -61,8 +61,9 @@ class Sensors(SensorKeys, Effect):
     # ------------------------------------------------------------------------------------------------ which sensors act
     def sets(self, *quantities: str) -> bool:
         """Whether a key of one of these quantities is not at its default."""
-        usual = ((key, about.default) for key, about in declared(type(self)).items() if key.startswith(quantities))
-        return any(getattr(self, key) != default for key, default in usual)
+        keys = declared(type(self)).items()
+        changed = [key for key, about in keys if getattr(self, key) != about.default]
+        return any(key.startswith(quantities) for key in changed)
 
     @cached_property
     def idle(self) -> bool:
@@ -81,14 +82,18 @@ class Sensors(SensorKeys, Effect):
     @property
     def loop_delay(self) -> float:
         """The age of the attitude, on which a loop's margins depend most."""
-        return self.later + (self.pose_delay + self.pose_jitter / 2 if self.attitude_age == "pose" else 0.0)
+        delay = self.later
+        if self.attitude_age == "pose":
+            delay += self.pose_delay + self.pose_jitter / 2
+        return delay
 
     def among(self, effects: Sequence[Effect]) -> Effect:
         estimators = [effect for effect in effects if effect.stage == "estimator"]
         if not self.tells_state or not estimators:
             return self
         late = [effect for effect in estimators if getattr(effect, "gyro", "late") == "late"]
-        later, later_rates = (sum(effect.loop_delay for effect in each) for each in (estimators, late))
+        later = sum(effect.loop_delay for effect in estimators)
+        later_rates = sum(effect.loop_delay for effect in late)
         return replace(self, later=later, later_rates=later_rates)
 
     def beside(self, columns: Collection[str]) -> Effect:
@@ -101,8 +106,11 @@ class Sensors(SensorKeys, Effect):
             )
         if self.sets("battery") and "battery_voltage" not in columns:
             raise UsageError("sensor.battery_..: there is no battery here; `quadexp options` lists what there is")
-        exact = {name: about.default for name, about in declared(type(self)).items() if name.startswith("rotor_speed")}
-        return self if turning else replace(self, **exact)
+        if turning:
+            return self
+        keys = declared(type(self)).items()
+        exact = {name: about.default for name, about in keys if name.startswith("rotor_speed")}
+        return replace(self, **exact)
 
     def channels(self, rotors: int) -> dict[str, Channel]:
         """Those that do something, by name."""
@@ -147,12 +155,18 @@ class Sensors(SensorKeys, Effect):
     # ------------------------------------------------------------------------------------------------------ see Effect
     def _keeps(self, name: str, rotors: int) -> int:
         """How many numbers a channel keeps of its quantity."""
-        return {"accelerometer": 2 * AXES + rotors * any(self.accelerometer_vibration), "gyroscope": AXES}.get(name, 0)
+        if name == "accelerometer":
+            return 2 * AXES + rotors * any(self.accelerometer_vibration)
+        if name == "gyroscope":
+            return AXES
+        return 0
 
     def _places(self, clock: Clock, rotors: int) -> dict[str, slice]:
         """Where the inner states of each channel stand."""
-        channels = self.channels(rotors).items()
-        return _slices({name: self._keeps(name, rotors) + channel.sizes(clock).inner for name, channel in channels})
+        sizes = {}
+        for name, channel in self.channels(rotors).items():
+            sizes[name] = self._keeps(name, rotors) + channel.sizes(clock).inner
+        return _slices(sizes)
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
         """Raises UsageError for a rotor that the vehicle does not have."""
@@ -161,20 +175,24 @@ class Sensors(SensorKeys, Effect):
                 f"sensor.rotor_speed_of={list(self.rotor_speed_of or ())}: vehicle={vehicle.name} has rotors 0 to"
                 f" {vehicle.n_rotors - 1}"
             )
-        each = [channel.sizes(clock) for channel in self.channels(vehicle.n_rotors).values()]
-        inner = max((place.stop for place in self._places(clock, vehicle.n_rotors).values()), default=0)
-        drawn, streams = (sum((getattr(sizes, name) for sizes in each), ()) for name in ("drawn", "streams"))
-        return Sizes(inner, sum(sizes.parameters for sizes in each), drawn, streams)
+        total = Sizes()
+        for name, channel in self.channels(vehicle.n_rotors).items():
+            sizes = channel.sizes(clock)
+            total = Sizes(
+                total.inner + sizes.inner + self._keeps(name, vehicle.n_rotors),
+                total.parameters + sizes.parameters,
+                total.drawn + sizes.drawn,
+                total.streams + sizes.streams,
+            )
+        return total
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         vehicle = start.vehicle
-        rates = start.x[RATE]
-        force = np.array([0.0, 0.0, start.thrust.sum() / vehicle.mass])
-        exact = {name: start.x[place] for name, place in POSE.items()} | {"accelerometer": force, "gyroscope": rates}
-        exact |= {
-            "rotor_speed": np.sqrt(start.thrust / (vehicle.thrust_coefficient or math.inf)),
-            "battery": np.zeros(1),
-        }
+        exact = {name: start.x[place] for name, place in POSE.items()}
+        exact["accelerometer"] = np.array([0.0, 0.0, start.thrust.sum() / vehicle.mass])
+        exact["gyroscope"] = start.x[RATE]
+        exact["rotor_speed"] = np.sqrt(start.thrust / (vehicle.thrust_coefficient or math.inf))
+        exact["battery"] = np.zeros(1)
         angles = 2 * math.pi * part_stream(rng, "angles").random(vehicle.n_rotors)
         inner = [np.empty(0)]
         parameters = [np.empty(0)]
@@ -215,11 +233,11 @@ class Sensors(SensorKeys, Effect):
         if self.attitude_age == "fresh":
             ages["attitude"] = None if self.later else 0.0
         channels = self.channels(vehicle.n_rotors)
-        changed: dict[str, Stated | None] = {
-            name: Stated(float(channel.noise.max()), channel.first, channel.rate, ages[name]).scaled(self.sheet_factor)
-            for name, channel in channels.items()
-            if name in ages
-        }
+        changed: dict[str, Stated | None] = {}
+        for name, channel in channels.items():
+            if name in ages:
+                stated = Stated(float(channel.noise.max()), channel.first, channel.rate, ages[name])
+                changed[name] = stated.scaled(self.sheet_factor)
         if self.rotor_speed_of is not None and {*self.rotor_speed_of} != {*range(vehicle.n_rotors)}:
             changed["rotor_speed"] = None
         return replace(sensor_spec, **changed)
@@ -231,14 +249,15 @@ class Sensors(SensorKeys, Effect):
         channels = self.channels(rotors)
         places = self._places(clock, rotors)
         readings = dict[str, ca.MX]()
-        cut = [_slices({name: channel.sizes(clock).parameters for name, channel in channels.items()})]
-        cut.append(_slices({name: channel.sizes(clock).draws for name, channel in channels.items()}))
+        sizes = {name: channel.sizes(clock) for name, channel in channels.items()}
+        of_parameters = _slices({name: size.parameters for name, size in sizes.items()})
+        of_draws = _slices({name: size.draws for name, size in sizes.items()})
         for name, channel in channels.items():
             inner = at.inner[places[name]]
             keeps = self._keeps(name, rotors)
             value_at, kept = self._exact(name, at, measured, inner[:keeps])
-            parameters = at.parameters[cut[0][name]]
-            draws = at.draws[cut[1][name]]
+            parameters = at.parameters[of_parameters[name]]
+            draws = at.draws[of_draws[name]]
             its_own = at._replace(inner=inner[keeps:], parameters=parameters, draws=draws)
             inner, readings[name] = channel.measure(its_own, value_at)
             after += [kept, inner]
@@ -259,7 +278,9 @@ class Sensors(SensorKeys, Effect):
         if name == "battery":
             return History(at.columns(["battery_voltage"]), at.clock).at, kept
         quantity = History(at.states[POSE[name], :], at.clock)
-        return quantity.unit_at if name == "attitude" else quantity.at, kept
+        if name == "attitude":
+            return quantity.unit_at, kept
+        return quantity.at, kept
 
     def _force(self, at: Readings, last: ca.MX, kept: ca.MX) -> tuple[Callable[[Any], ca.MX], ca.MX]:
         """Specific force and vibration; last: the force at the end of the period."""
@@ -285,13 +306,16 @@ class Sensors(SensorKeys, Effect):
 
     def _speeds(self, at: Readings) -> History:
         """Of the rotors, (n,) (rad/s)."""
-        return History(at.columns([f"rotor_speed_{i}" for i in range(at.vehicle.n_rotors)]), at.clock)
+        names = [f"rotor_speed_{i}" for i in range(at.vehicle.n_rotors)]
+        return History(at.columns(names), at.clock)
 
     def _counted(self, speed: Any, slow: Any, random: Any) -> Any:
         """Speeds (n,) as telegrams have them."""
         speed = speed * (1 + slow + random)
         pairs = self.rotor_speed_pole_pairs
-        return in_steps(dshot_speed(speed, pairs) if pairs else speed, self.rotor_speed_step)
+        if pairs:
+            speed = dshot_speed(speed, pairs)
+        return in_steps(speed, self.rotor_speed_step)
 
 
 def _slices(sizes: Mapping[str, int]) -> dict[str, slice]:

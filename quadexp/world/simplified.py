@@ -75,9 +75,13 @@ class PlantEffects(Settings):
 
 ZERO = (0.0, 0.0, 0.0)
 N_EFFECTS = 11  # numbers of `parameters`
-LINEAR_DRAG, QUADRATIC_DRAG, LOSS, MOTOR_NOISE, FORCE_NOISE, TORQUE_NOISE, LIFT = (
-    slice(0, 3), slice(3, 6), 6, 7, 8, 9, 10,
-)  # fmt: skip
+LINEAR_DRAG = slice(0, 3)
+QUADRATIC_DRAG = slice(3, 6)
+LOSS = 6
+MOTOR_NOISE = 7
+FORCE_NOISE = 8
+TORQUE_NOISE = 9
+LIFT = 10
 
 
 @keyed

@@ -58,32 +58,41 @@ class StatedEstimate(Effect):
 
     def among(self, effects: Sequence[Effect]) -> Effect:
         """Its noise comes on top of what sensors tell of the state."""
-        by_sensors = any(isinstance(effect, Sensors) and effect.tells_state for effect in effects)
-        return replace(self, delay=0.0, follows=True) if by_sensors else self
+        if any(isinstance(effect, Sensors) and effect.tells_state for effect in effects):
+            return replace(self, delay=0.0, follows=True)
+        return self
 
     def _late(self, clock: Clock) -> tuple[int, int, float]:
         """Control periods for which two states are kept, the step of a period at which the older one is, and the share
         of the younger one, a step later."""
         late = math.ceil(self.delay / clock.step - ROUNDING)
         kept = max(math.ceil(late / clock.steps) - 1, 0)
-        return kept, (kept + 1) * clock.steps - late, late - self.delay / clock.step
+        step = (kept + 1) * clock.steps - late
+        return kept, step, late - self.delay / clock.step
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        return Sizes(2 * N_STATE * self._late(clock)[0], parameters=4, drawn=(Sampled(AXES, (clock.period,)),))
+        kept, *_ = self._late(clock)
+        return Sizes(2 * N_STATE * kept, parameters=4, drawn=(Sampled(AXES, (clock.period,)),))
+
+    @property
+    def _noise(self) -> tuple[float, ...]:
+        return self.position_noise, self.velocity_noise, self.attitude_noise, self.rate_noise
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
-        noise = (self.position_noise, self.velocity_noise, self.attitude_noise, self.rate_noise)
-        return np.tile(start.x, 2 * self._late(start.clock)[0]), noise
+        kept, *_ = self._late(start.clock)
+        return np.tile(start.x, 2 * kept), self._noise
 
     def stated(self, sensor_spec: SensorSpec, vehicle: Vehicle) -> SensorSpec:
         """Its noise; its age is stated by nobody, but for a gyroscope that is fresh."""
-        prompt = self.gyro == "fresh" and not self.follows
+        gyroscope = sensor_spec.gyroscope
+        if self.gyro == "fresh" and not self.follows:
+            gyroscope = Stated()
         return replace(
             sensor_spec,
             position=noisier(sensor_spec.position, self.position_noise),
             velocity=noisier(sensor_spec.velocity, self.velocity_noise),
             attitude=noisier(sensor_spec.attitude, self.attitude_noise),
-            gyroscope=noisier(Stated() if prompt else sensor_spec.gyroscope, self.rate_noise),
+            gyroscope=noisier(gyroscope, self.rate_noise),
         )
 
     def measure(self, at: Readings, measured: Measured) -> tuple[ca.MX, Measured]:
@@ -94,10 +103,13 @@ class StatedEstimate(Effect):
         if share > ROUNDING:
             x = (1 - share) * x + share * kept[:, 1]
             x[ATTITUDE] /= ca.norm_2(x[ATTITUDE])
-        rate = at.states[:, -1] if self.gyro == "fresh" else x
+        rate = x
+        if self.gyro == "fresh":
+            rate = at.states[:, -1]
         if self.follows:
             x = rate = measured["state"]
-        noise = at.draws * ca.vertcat(*(ca.repmat(std, 3, 1) for std in ca.vertsplit(at.parameters)))
+        deviations = ca.vec(ca.repmat(at.parameters.T, 3, 1))
+        noise = at.draws * deviations
         noisy = ca.vertcat(
             x[POSITION] + noise[:3],
             ca.if_else(at.parameters[2] > 0, turned(x[ATTITUDE], noise[6:9]), x[ATTITUDE]),
@@ -108,5 +120,4 @@ class StatedEstimate(Effect):
 
     @property
     def idle(self) -> bool:
-        noise = (self.position_noise, self.velocity_noise, self.attitude_noise, self.rate_noise)
-        return not any((*noise, self.delay))
+        return not any((*self._noise, self.delay))

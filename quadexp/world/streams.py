@@ -39,7 +39,9 @@ class Silence(np.random.Generator):
         super().__init__(np.random.PCG64(0))
 
     def standard_normal(self, size: Any = None, dtype: Any = np.float64, out: Any = None) -> Any:
-        return 0.0 if size is None else np.zeros(size, dtype)
+        if size is None:
+            return 0.0
+        return np.zeros(size, dtype)
 
 
 def on_the_way(numbers: Any, drop: Any) -> tuple[Any, Any]:
@@ -54,9 +56,11 @@ def part_stream(rng: np.random.Generator, part: str) -> np.random.Generator:
     if isinstance(rng, Silence):
         return rng
     seed: Any = rng.bit_generator.seed_seq
-    words = np.frombuffer(hashlib.sha256(part.encode()).digest()[: 4 * WORDS], "<u4")
-    key = (*seed.spawn_key, *(int(word) for word in words))
-    return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size))
+    digest = hashlib.sha256(part.encode()).digest()
+    words = np.frombuffer(digest[: 4 * WORDS], "<u4")
+    key = (*seed.spawn_key, *words.tolist())
+    own = np.random.SeedSequence(seed.entropy, spawn_key=key, pool_size=seed.pool_size)
+    return np.random.default_rng(own)
 
 
 @dataclass(frozen=True)
@@ -77,8 +81,9 @@ class Sampled:
         key = rng.integers(2**64, dtype=np.uint64)
 
         def take(begins: np.ndarray, end: float) -> np.ndarray:
-            ticks = np.floor((begins[:, None] + self.instants) / self.tick + EARLY)
-            return _split_mix(key, ticks.astype(np.uint64), self.numbers).reshape(len(begins), -1)
+            times = begins[:, None] + self.instants
+            ticks = np.floor(times / self.tick + EARLY).astype(np.uint64)
+            return _split_mix(key, ticks, self.numbers).reshape(len(begins), -1)
 
         return take
 
@@ -108,7 +113,9 @@ class Ticking:
 
         def take(begins: np.ndarray, end: float) -> np.ndarray:
             edges = np.append(begins, end) / self.tick
-            first = np.floor(edges + EARLY) + 1 if self.closing else np.ceil(edges - EARLY).clip(1)
+            first = np.ceil(edges - EARLY).clip(1)
+            if self.closing:
+                first = np.floor(edges + EARLY) + 1
             ticks = first[:-1, None] + np.arange(self.slots)
             there = ticks < first[1:, None]
             numbers_at = np.zeros((*ticks.shape, 1 + self.numbers))
@@ -134,7 +141,8 @@ class Held:
 
     def begin(self, rng: np.random.Generator) -> Any:
         """See Sampled.begin."""
-        first, rows = 0, np.empty((0, self.numbers))  # the tick of the first row
+        rows = np.empty((0, self.numbers))
+        first = 0  # the tick of the first row
 
         def take(begins: np.ndarray, end: float) -> np.ndarray:
             nonlocal first, rows
@@ -151,9 +159,13 @@ class Held:
             corner = np.floor(edges).astype(int)
             beyond = edges - corner
             corner -= first
-            path = path[corner] + beyond[:, None] * rows[np.minimum(corner, len(rows) - 1)]
-            first, rows = first + corner[-1], rows[corner[-1] :]
-            return (np.diff(path, axis=0) / np.sqrt(np.diff(edges))[:, None]).reshape(len(begins), -1)
+            row = rows[np.minimum(corner, len(rows) - 1)]
+            path = path[corner] + beyond[:, None] * row
+            first += corner[-1]
+            rows = rows[corner[-1] :]
+            lengths = np.diff(edges)[:, None]
+            noise = np.diff(path, axis=0) / np.sqrt(lengths)
+            return noise.reshape(len(begins), -1)
 
         return take
 
@@ -176,7 +188,9 @@ class Streams:
         self._periods = round(duration / period)
         self.size = sum(drawn.size for _, drawn in parts)
         self._kept = np.empty((BLOCK, self.size))
-        self.block, self.first, self.taken = self._kept[:0], 0, 0  # taken: periods
+        self.block = self._kept[:0]
+        self.first = 0
+        self.taken = 0  # periods
 
     @property
     def end(self) -> int:
@@ -186,13 +200,17 @@ class Streams:
     def draw(self) -> None:
         """The next block."""
         self.first = self.end
-        size = min(BLOCK, self._periods - self.first) if self.first < self._periods else BLOCK
+        size = BLOCK
+        if self.first < self._periods:
+            size = min(BLOCK, self._periods - self.first)
         times = self._period * np.arange(self.first, self.first + size + 1)
-        self.block, column = self._kept[:size], 0  # new memory costs more than a draw
+        self.block = self._kept[:size]  # new memory costs more than a draw
+        column = 0
         for take in self._takers:
             numbers = take(times[:-1], times[-1])
-            column += numbers.shape[1]
-            self.block[:, column - numbers.shape[1] : column] = numbers
+            end = column + numbers.shape[1]
+            self.block[:, column:end] = numbers
+            column = end
 
     def standard_normal(self, out: np.ndarray) -> None:
         """As Generator.standard_normal: the numbers of the next period."""
@@ -209,7 +227,9 @@ def _split_mix(key: np.uint64, ticks: np.ndarray, numbers: int) -> np.ndarray:
     z: Any = key + place * np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ z >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ z >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
-    uniform = (((z ^ z >> np.uint64(31)) >> np.uint64(11)) + 0.5) * 2.0**-53
+    bits = (z ^ z >> np.uint64(31)) >> np.uint64(11)
+    uniform = (bits + 0.5) * 2.0**-53
     radius = np.sqrt(-2 * np.log(uniform[..., :pairs]))
     angle = 2 * np.pi * uniform[..., pairs:]
-    return np.concatenate([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)[..., :numbers]
+    normal = np.concatenate([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
+    return normal[..., :numbers]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,8 +17,8 @@ from quadexp.compile.symbolic import ca
 from quadexp.errors import ModelDomainError, QuadexpError, UsageError
 from quadexp.models.residual import Residual
 from quadexp.parts.sensor_spec import SensorSpec, Stated
-from quadexp.world.composition import WIND, Layout, compose, wind_function
-from quadexp.world.effect import Clock, Effect, Sizes, Start, ordered
+from quadexp.world.composition import WIND, compose, wind_function
+from quadexp.world.effect import Clock, Effect, Layout, Sizes, Start, ordered
 from quadexp.world.integrator import Equations, SimulatedPlant
 from quadexp.world.streams import Drawn, Streams, part_stream
 
@@ -82,7 +81,8 @@ class World(SimulatedPlant):
         streams. thrust: that the rotors give and that was commanded before, (n,) (N); None: that of hover.
         """
         self.reset()
-        thrust = np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust) if thrust is None else thrust
+        if thrust is None:
+            thrust = np.full(self.vehicle.n_rotors, self.vehicle.hover_thrust)
         clock = self.clock(period)
         begun: dict[str, np.ndarray] = {}
         start = Start(np.array(x, float), duration, clock, self.vehicle, thrust, begun)
@@ -101,17 +101,22 @@ class World(SimulatedPlant):
             inner.append(begins[0])
             parameters.append(begins[1])
             streams = sizes.streams or [f"{effect.part} {i}" for i in range(len(sizes.drawn))]
-            parts += [(part_stream(rng, name), drawn) for name, drawn in zip(streams, sizes.drawn, strict=True)]
-        ends = [layout.ends(kind)[1:] for kind in ("inner", "parameters")]
-        slices = [[slice(*pair) for pair in pairwise(numbers)] for numbers in ends]
-        first = layout.airframe.parameters
-        self._shares = [
-            (effect, effect_states, slice(theta.start - first, theta.stop - first))
-            for effect, effect_states, theta in zip(self.effects, *slices, strict=True)
-        ]
+            for name, drawn in zip(streams, sizes.drawn, strict=True):
+                parts.append((part_stream(rng, name), drawn))
+        self._shares = []
+        first = layout.airframe.inner
+        place = 0  # of the parameters
+        for effect, sizes in zip(self.effects, layout.effects, strict=True):
+            end = first + sizes.inner
+            last = place + sizes.parameters
+            self._shares.append((effect, slice(first, end), slice(place, last)))
+            first = end
+            place = last
         columns = self.columns(period)
-        of = range(self.vehicle.n_rotors) if self.sensor_spec.rotor_speed else ()
-        self._rotors = [columns.get(f"est_rotor_speed_{i}", columns.get(f"rotor_speed_{i}", -1)) for i in of]
+        self._rotors = []
+        if self.sensor_spec.rotor_speed:
+            for i in range(self.vehicle.n_rotors):
+                self._rotors.append(columns.get(f"est_rotor_speed_{i}", columns.get(f"rotor_speed_{i}", -1)))
         self._own_parameters = np.concatenate(parameters)
         self.measured = start.x.copy()
         for effect, effect_states in zip(self.effects, inner[1:], strict=True):
@@ -160,9 +165,12 @@ class World(SimulatedPlant):
             rows = function.size1_in("noise")
             draws = function.size1_in("draws")
             buffer = np.zeros(clock.steps * rows + draws)
-            shape = (clock.steps, rows) if clock.steps > 1 else rows
-            views = {"noise": buffer[: clock.steps * rows].reshape(shape), "draws": buffer[-draws:]}
-            views = {name: view for name, view in views.items() if function.size1_in(name)}
+            views = dict[str, np.ndarray]()
+            if rows:
+                noise = buffer[: clock.steps * rows]
+                views["noise"] = noise.reshape(clock.steps, rows) if clock.steps > 1 else noise
+            if draws:
+                views["draws"] = buffer[-draws:]
             self._made[clock] = _Prepared(function, views, buffer, clock)
         prepared = self._made[clock]
         prepared.arguments["step"][0] = clock.step
@@ -194,7 +202,8 @@ class World(SimulatedPlant):
     def _check_ended(self) -> None:
         """Raise ModelDomainError where an effect ends the flight."""
         for effect, inner, parameters in self._shares:
-            if reason := effect.reason(self.inner[inner], self._own_parameters[parameters]):
+            reason = effect.reason(self.inner[inner], self._own_parameters[parameters])
+            if reason:
                 raise ModelDomainError(f"{reason} at t={self.time:.2f} s")
 
     def _period(self, equations: Equations, clock: Clock) -> ca.Function:
@@ -264,7 +273,9 @@ class World(SimulatedPlant):
         """The airframe's own; it names what it does not know of the world."""
         believed: Residual = self._believed.residual()
         unknown = ", ".join(effect.part for effect in self.effects if effect.names_world)
-        return replace(believed, source=f"{believed.source}; does not know: {unknown}") if unknown else believed
+        if not unknown:
+            return believed
+        return replace(believed, source=f"{believed.source}; does not know: {unknown}")
 
     @property
     def rotor_speed(self) -> np.ndarray:

@@ -51,19 +51,22 @@ def faces(vehicle: Vehicle, weight: tuple[float, ...]) -> tuple[np.ndarray, np.n
             f"vehicle={vehicle.name}: has {n} rotors; the exact allocation goes over 3^n faces, for up to"
             f" {MOST_ROTORS} rotors: use allocation=clip"
         )
-    G, W = vehicle.allocation, np.diag(weight)
-    H = G.T @ W @ G
+    G = vehicle.allocation
+    weighted = G.T @ np.diag(weight)
+    H = weighted @ G
     if n > len(G):
         H += REGULAR * H.max() * np.eye(n)
-    combinations = list(itertools.product((None, vehicle.thrust_min, vehicle.thrust_max), repeat=n))
-    A, b = np.zeros((len(combinations), n, 4)), np.zeros((len(combinations), n))
-    for gain, offset, sides in zip(A, b, combinations, strict=True):
-        free = np.array([side is None for side in sides])
-        offset[~free] = [side for side in sides if side is not None]
+    sides = (np.nan, vehicle.thrust_min, vehicle.thrust_max)  # of a free rotor, and of one at a limit
+    b = np.array(list(itertools.product(sides, repeat=n)))
+    A = np.zeros((*b.shape, 4))
+    for gain, offset in zip(A, b, strict=True):
+        free = np.isnan(offset)
+        offset[free] = 0
         if free.any():
             inner = H[np.ix_(free, free)]
-            gain[free] = np.linalg.solve(inner, (G.T @ W)[free])
-            offset[free] = -np.linalg.solve(inner, H[np.ix_(free, ~free)] @ offset[~free])
+            at_limits = H[np.ix_(free, ~free)] @ offset[~free]
+            gain[free] = np.linalg.solve(inner, weighted[free])
+            offset[free] = -np.linalg.solve(inner, at_limits)
     return A, b
 
 
@@ -71,13 +74,18 @@ def faces(vehicle: Vehicle, weight: tuple[float, ...]) -> tuple[np.ndarray, np.n
 def exact_allocation(vehicle: Vehicle, weight: tuple[float, ...]) -> ca.Function:
     """wanted [T (N), tau (N m)] (4,) -> thrusts u (n,) (N). weight, errors: see `faces`."""
     A, b = faces(vehicle, weight)
-    n, low, high = vehicle.n_rotors, vehicle.thrust_min, vehicle.thrust_max
+    low = vehicle.thrust_min
+    high = vehicle.thrust_max
     y = ca.MX.sym("wrench", 4)
-    U = ca.reshape(ca.DM(A.reshape(-1, 4)) @ y + ca.DM(b.ravel()), n, len(A))
-    beyond = ca.sum1(ca.fmax(low - U, 0) + ca.fmax(U - high, 0))
+    thrusts = ca.DM(A.reshape(-1, 4)) @ y + ca.DM(b.ravel())
+    U = ca.reshape(thrusts, vehicle.n_rotors, len(A))
+    below = ca.fmax(low - U, 0)
+    above = ca.fmax(U - high, 0)
+    beyond = ca.sum1(below + above)
     short = ca.repmat(y, 1, len(A)) - vehicle.allocation @ U
-    cost = ca.sum1(ca.repmat(ca.DM(weight), 1, len(A)) * short**2)
-    if n > len(weight):
+    weights = ca.repmat(ca.DM(weight), 1, len(A))
+    cost = ca.sum1(weights * short**2)
+    if vehicle.n_rotors > len(weight):
         H = vehicle.allocation.T @ np.diag(weight) @ vehicle.allocation
         cost += REGULAR * H.max() * ca.sum1(U**2)
     cost = ca.if_else(beyond > TOLERANCE * (high - low), NEVER, cost)
@@ -104,17 +112,22 @@ def prioritised(vehicle: Vehicle, wrench: Expression, *, airmode: bool = True, y
     needs it. yaw_margin: share of the thrust range by which yaw may take thrust away at the upper limit (PX4: 0.15).
     Raises UsageError for a rotor layout in which equal lift needs a negative thrust.
     """
-    inverse, low, high = np.linalg.pinv(vehicle.allocation), vehicle.thrust_min, vehicle.thrust_max
+    n = vehicle.n_rotors
+    low = vehicle.thrust_min
+    high = vehicle.thrust_max
+    inverse = np.linalg.pinv(vehicle.allocation)
     lift = inverse[:, 0]
     if (lift <= 0).any():
         raise UsageError(f"vehicle={vehicle.name}: thrust by priority needs rotors that all lift at once")
-    tilt, yaw = ca.DM(inverse[:, 1:3]) @ wrench[1:3], ca.DM(inverse[:, 3]) * wrench[3]
-    n, per_lift = vehicle.n_rotors, tilt / lift
+    tilt = ca.DM(inverse[:, 1:3]) @ wrench[1:3]
+    yaw = ca.DM(inverse[:, 3]) * wrench[3]
+    per_lift = tilt / lift
     share = ca.SX(1)
     for i in range(n):
         for j in range(n):
             if i != j:
-                share = ca.fmin(share, _share(per_lift[j] - per_lift[i], high / lift[j] - low / lift[i]))
+                room = high / lift[j] - low / lift[i]
+                share = ca.fmin(share, _share(per_lift[j] - per_lift[i], room))
     if not airmode:  # rotors at the lower limit already: less tilt, not more thrust
         wanted = ca.fmax(wrench[0], (low / lift).max())
         for i in range(n):
@@ -122,11 +135,15 @@ def prioritised(vehicle: Vehicle, wrench: Expression, *, airmode: bool = True, y
     tilt = share * tilt
     thrust = _within(wrench[0], (low - tilt) / lift, (high - tilt) / lift)
     u = thrust * lift + tilt
-    share, allowed = ca.SX(1), high + yaw_margin * (high - low)
+    share = ca.SX(1)
+    allowed = high + yaw_margin * (high - low)
     for i in range(n):
-        share = ca.fmin(share, ca.fmin(_share(yaw[i], allowed - u[i]), _share(-yaw[i], u[i] - low)))
+        upwards = _share(yaw[i], allowed - u[i])
+        downwards = _share(-yaw[i], u[i] - low)
+        share = ca.fmin(share, ca.fmin(upwards, downwards))
     u = u + ca.fmax(share, 0) * yaw
-    u = u + _within(0, (low - u) / lift, (high - u) / lift) * lift if yaw_margin else u
+    if yaw_margin:
+        u += _within(0, (low - u) / lift, (high - u) / lift) * lift
     return limited(u, low, high)
 
 

@@ -32,7 +32,11 @@ def moving_attitude(
     R = ca.vec(attitude_of(*along))
     first = ca.jacobian(R, t)
     second = ca.jacobian(first, t)
-    R, first, second = (ca.reshape(ca.substitute(ca.densify(e), t, 0), 3, 3) for e in (R, first, second))
+    now = []
+    for derivative in (R, first, second):
+        value = ca.substitute(ca.densify(derivative), t, 0)
+        now.append(ca.reshape(value, 3, 3))
+    R, first, second = now
     return R, skew_part(R.T @ first), skew_part(R.T @ second)
 
 
@@ -43,7 +47,8 @@ def heading_of(R: Expression) -> Expression:
 
 def skew_part(matrix: Expression) -> Expression:
     """The vector v, (3,), with v x = (A - A') / 2 of a matrix A, (3, 3)."""
-    return ca.vertcat(matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]) / 2
+    twice = matrix - matrix.T
+    return ca.vertcat(twice[2, 1], twice[0, 2], twice[1, 0]) / 2
 
 
 def attitude_error(R: Expression, R_d: Expression) -> Expression:

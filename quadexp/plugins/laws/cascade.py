@@ -127,46 +127,53 @@ class Cascade(Law):
         acceleration, of_velocity = filtered(memory.velocity_filter, change, self.velocity_cutoff, period)
         turning, of_rate = filtered(memory.rate_filter, turn, self.rate_cutoff, period)
 
-        v_c = wanted_velocity(
-            ca.DM(self.position_proportional) * (path[:, 0] - x[POSITION]), path[:, 1], self.velocity_limit
-        )
+        towards = ca.DM(self.position_proportional) * (path[:, 0] - x[POSITION])
+        v_c = wanted_velocity(towards, path[:, 1], self.velocity_limit)
         error = v_c - v
         a_c = path[:, 2] + ca.DM(self.velocity_proportional) * error + memory.velocity_integral
         a_c -= ca.DM(self.velocity_derivative) * acceleration
         f, uncut, produced = wanted_thrust(a_c, vehicle, self)
         top = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
-        stuck = ca.logic_or(
-            ca.logic_and(uncut[2] <= self.thrust_least * g, error[2] <= 0), ca.logic_and(uncut[2] >= top, error[2] >= 0)
-        )
+        at_least = ca.logic_and(uncut[2] <= self.thrust_least * g, error[2] <= 0)
+        at_most = ca.logic_and(uncut[2] >= top, error[2] >= 0)
+        stuck = ca.logic_or(at_least, at_most)
         short = 2 / max(self.velocity_proportional[0], 1e-6) * (a_c[:2] - produced)
         back = ca.vertcat(error[:2] - short, ca.if_else(stuck, 0, error[2]))
         integral = memory.velocity_integral + period * ca.DM(self.velocity_integral) * back
         integral = ca.vertcat(integral[:2], limited(integral[2], -g, g))
 
         R_d = attitude_of(f, rotation_matrix(state[ATTITUDE]) @ ca.DM([1, 0, 0]))
-        w_c = wanted_rate(R, R_d, self) + R[2, :].T * yaw[1]
+        w_c = wanted_rate(R, R_d, self)
         if self.rate_feedforward:
-            w_c = wanted_rate(R, R_d, self) + state[RATE]
+            w_c += state[RATE]
+        else:
+            w_c += R[2, :].T * yaw[1]
         limit = ca.DM(self.rate_limit)
         w_c = limited(w_c, -limit, limit)
         slow = w_c - w
-        angular = ca.DM(self.rate_proportional) * slow + memory.rate_integral - ca.DM(self.rate_derivative) * turning
+        angular = ca.DM(self.rate_proportional) * slow + memory.rate_integral
+        angular -= ca.DM(self.rate_derivative) * turning
         torque = vehicle.inertia_matrix @ angular
         thrust = vehicle.mass * ca.norm_2(f)
         u = prioritised(vehicle, ca.vertcat(thrust, torque), airmode=self.airmode, yaw_margin=self.yaw_margin)
         lacking = torque - vehicle.allocation[1:] @ u
         scale = SATURATED * vehicle.thrust_max * float(np.abs(vehicle.allocation[1:]).max())
-        slow = ca.if_else(lacking > scale, ca.fmin(slow, 0), ca.if_else(lacking < -scale, ca.fmax(slow, 0), slow))
+        backwards = ca.if_else(lacking < -scale, ca.fmax(slow, 0), slow)
+        slow = ca.if_else(lacking > scale, ca.fmin(slow, 0), backwards)
         share = ca.fmax(0, 1 - (slow / RATE_ERROR) ** 2)
         bound = ca.DM(self.rate_integral_limit)
         rate_integral = memory.rate_integral + period * share * ca.DM(self.rate_integral) * slow
         rate_integral = limited(rate_integral, -bound, bound)
 
-        remembered = {"velocity_integral": integral, "velocity": v, "velocity_filter": of_velocity}
-        remembered["rate_integral"] = rate_integral
-        remembered["rate"] = w
-        remembered["rate_filter"] = of_rate
-        return {"command": u, **remembered}
+        return {
+            "command": u,
+            "velocity_integral": integral,
+            "velocity": v,
+            "velocity_filter": of_velocity,
+            "rate_integral": rate_integral,
+            "rate": w,
+            "rate_filter": of_rate,
+        }
 
 
 def filtered(memory: Expression, value: Expression, cutoff: float, period: float) -> tuple[Expression, Expression]:
@@ -187,10 +194,13 @@ def wanted_velocity(towards: Expression, reference: Expression, limit: tuple[flo
     b = ca.dot(first, second)
     c = ca.sumsqr(first) - limit[0] ** 2
     inside = c < 0  # of the way to the reference alone
-    share = (-b + ca.sqrt(ca.fmax(b**2 - a * c, 0))) / ca.fmax(a, 1e-12)
+    root = ca.sqrt(ca.fmax(b**2 - a * c, 0))
+    share = (-b + root) / ca.fmax(a, 1e-12)
     within = first + limited(share, 0, 1) * second
-    horizontal = ca.if_else(inside, within, first * limit[0] / ca.fmax(ca.norm_2(first), 1e-12))
-    vertical = limited(towards[2] + reference[2], -limit[2], limit[1])
+    shortened = first * limit[0] / ca.fmax(ca.norm_2(first), 1e-12)
+    horizontal = ca.if_else(inside, within, shortened)
+    climb = towards[2] + reference[2]
+    vertical = limited(climb, -limit[2], limit[1])
     return ca.vertcat(horizontal, vertical)
 
 
@@ -199,7 +209,9 @@ def wanted_thrust(a: Expression, vehicle: Vehicle, keys: Cascade) -> tuple[Expre
     limits of tilt and thrust leave of the wanted horizontal acceleration, (2,) (m/s^2)."""
     g = vehicle.gravity
     top = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
-    vertical = g if keys.decoupled else ca.fmax(a[2] + g, 1e-3)
+    vertical = g
+    if not keys.decoupled:
+        vertical = ca.fmax(a[2] + g, 1e-3)
     size = ca.norm_2(a[:2])
     widest = math.tan(keys.tilt_limit) * vertical
     level = a[:2] * ca.fmin(1, widest / ca.fmax(size, 1e-12))
@@ -224,7 +236,11 @@ def wanted_rate(R: Expression, R_d: Expression, keys: Cascade) -> Expression:
     angle = weight * ca.atan2(mixed[1, 0] - mixed[0, 1], mixed[0, 0] + mixed[1, 1])
     c = ca.cos(angle / 2)
     s = ca.sin(angle / 2)
-    error = ca.vertcat(reduced[1] * c + reduced[2] * s, reduced[2] * c - reduced[1] * s, reduced[0] * s)
+    roll = reduced[1] * c + reduced[2] * s
+    pitch = reduced[2] * c - reduced[1] * s
+    error = ca.vertcat(roll, pitch, reduced[0] * s)
     sign = ca.if_else(reduced[0] * c < 0, -1, 1)
-    proportional = np.array(keys.attitude_proportional) / [1, 1, weight if weight > 1e-4 else 1]
+    proportional = np.array(keys.attitude_proportional, float)
+    if weight > 1e-4:
+        proportional[2] /= weight
     return 2 * sign * ca.DM(proportional) * error

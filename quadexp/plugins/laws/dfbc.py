@@ -93,11 +93,11 @@ class FlatnessBased(Law):
 
     def equations(self, vehicle: Vehicle, inputs: Inputs, memory: Any) -> dict[str, Any]:
         """See Law; (13) to (31); errors of tilt and yaw (rad)."""
-        x, path, yaw, delivered, belief, air = symbols(
+        arguments = symbols(
             ca.SX, x=N_STATE, path=(3, 5), yaw=3, delivered=vehicle.n_rotors, belief=N_BELIEF, air=N_OUTPUTS
         )
-        wrench, angle = _wrench(vehicle, self, x, path, yaw, delivered, belief, air)
-        wanted = ca.Function("dfbc_wrench", [x, path, yaw, delivered, belief, air], ca.cse([wrench, angle]))
+        results = ca.cse(_wrench(vehicle, self, *arguments))
+        wanted = ca.Function("dfbc_wrench", arguments, results)
         of_belief = inputs.symbol("belief")
         wrench, angle = wanted(inputs.state, inputs.path, inputs.heading, inputs.delivered, of_belief, inputs.air)
         thrust = allocation(vehicle, self.allocation, self.wrench_weight)(wrench / inputs.belief.thrust_scale)
@@ -117,7 +117,7 @@ def _wrench(
     delivered: Expression,
     belief: Expression,
     air: Expression,
-) -> tuple[Expression, Expression]:
+) -> list[Expression]:
     """Wanted thrust and torques (4,), and the errors of tilt and yaw (2,). air: by the model, (6,)."""
     m = vehicle.mass
     J = ca.DM(vehicle.inertia_matrix)
@@ -127,15 +127,19 @@ def _wrench(
     x_b, y_b, z_b = ca.horzsplit(R)
     p_r, v_r, a_r, j_r, s_r = ca.horzsplit(path)
 
-    a_d = ca.DM(keys.position_gain) * (p_r - x[POSITION]) + ca.DM(keys.velocity_gain) * (v_r - x[VELOCITY]) + a_r
+    a_d = ca.DM(keys.position_gain) * (p_r - x[POSITION])
+    a_d += ca.DM(keys.velocity_gain) * (v_r - x[VELOCITY])
+    a_d += a_r
     force = m * (a_d + vehicle.gravity * up) - m * (R @ air[:3]) - belief[:3]
     T_d = ca.norm_2(force)
     z_d = force / ca.fmax(T_d, SMALL)
-    y_d = ca.cross(z_d, ca.vertcat(ca.cos(yaw[0]), ca.sin(yaw[0]), 0))
+    x_c = ca.vertcat(ca.cos(yaw[0]), ca.sin(yaw[0]), 0)
+    y_d = ca.cross(z_d, x_c)
     y_d = y_d / ca.fmax(ca.norm_2(y_d), SMALL)
     if keys.inverted == "continuous":
         upside_down = ca.fmin(z_d[2], z_b[2]) < 0
-        y_d = ca.if_else(ca.logic_and(upside_down, ca.dot(y_d, y_b) < 0), -1, 1) * y_d
+        changes = ca.logic_and(upside_down, ca.dot(y_d, y_b) < 0)
+        y_d = ca.if_else(changes, -1, 1) * y_d
 
     T = ca.fmax(ca.sum1(delivered), keys.least_thrust * m * vehicle.gravity)
     turning = ca.cross(R @ w, z_b)  # z', world
@@ -143,7 +147,8 @@ def _wrench(
     T_2 = m * ca.dot(s_r, z_b) + m * ca.dot(turning, j_r)
     h = (m * j_r - T_1 * z_b) / T
     w_r = ca.vertcat(-ca.dot(h, y_b), ca.dot(h, x_b), yaw[1] * z_b[2])
-    h_a = m * s_r / T - (ca.cross(R @ w, turning) + 2 * T_1 / T * turning + T_2 / T * z_b)
+    of_thrust = ca.cross(R @ w, turning) + 2 * T_1 / T * turning + T_2 / T * z_b
+    h_a = m * s_r / T - of_thrust
     alpha_r = ca.vertcat(-ca.dot(h_a, y_b), ca.dot(h_a, x_b), yaw[2] * z_b[2])
 
     error = R.T @ ca.horzcat(ca.cross(y_d, z_d), y_d, z_d)
@@ -153,4 +158,5 @@ def _wrench(
     alpha = ca.vertcat(keys.tilt_gain * tilt, keys.yaw_gain * 2 * ca.sin(turn / 2))
     alpha += ca.DM(keys.rate_gain) * (w_r - w) + alpha_r
     torque = J @ alpha + ca.cross(w, J @ w) - air[3:] - belief[3:6]
-    return ca.vertcat(T_d, torque), ca.vertcat(ca.acos(limited(r[2], -1, 1)), turn)
+    angle = ca.acos(limited(r[2], -1, 1))
+    return [ca.vertcat(T_d, torque), ca.vertcat(angle, turn)]

@@ -113,7 +113,8 @@ class Geometric(Law):
         R_r = rotation_matrix(state[ATTITUDE])
         w_r = state[RATE]
         wrench_r = G @ thrust
-        w_r_dot = ca.inv(J) @ (wrench_r[1:] + air_r[3:] - ca.cross(w_r, J @ w_r))
+        torque_r = wrench_r[1:] + air_r[3:] - ca.cross(w_r, J @ w_r)
+        w_r_dot = ca.inv(J) @ torque_r
         e_p = x[POSITION] - path[:, 0]
         e_v = x[VELOCITY] - path[:, 1]
 
@@ -133,7 +134,8 @@ class Geometric(Law):
             z_dot = R @ ca.cross(w, E_Z)
             e_a = ca.dot(force, z) * z + known + gravity - path[:, 2]
             after = first - K_x * e_v - K_v * e_a
-            e_j = (ca.dot(after, z) + ca.dot(force, z_dot)) * z + ca.dot(force, z) * z_dot - first
+            along = ca.dot(after, z) + ca.dot(force, z_dot)
+            e_j = along * z + ca.dot(force, z) * z_dot - first
             forces = (force, after, second - K_x * e_a - K_v * e_j)
         R_d, w_d, w_d_dot = moving_attitude(forces, heading)
         if self.rates == "reference":
@@ -143,7 +145,9 @@ class Geometric(Law):
         e_R = attitude_error(R, R_d)
         e_w = w - turn @ w_d
         spin = -ca.cross(w, turn @ w_d) + turn @ w_d_dot
-        torque = J @ (spin - K_R * e_R - K_w * e_w - memory.theta_torque) + ca.cross(w, J @ w)
+        turning = spin - K_R * e_R - K_w * e_w - memory.theta_torque
+        gyroscopic = ca.cross(w, J @ w)
+        torque = J @ turning + gyroscopic
         torque -= air[3:] + belief.torque
         wrench = ca.vertcat(m * ca.dot(force, R[:, 2]), torque) + G @ (inputs.thrusts_middle - thrust)
         wrench /= belief.thrust_scale
@@ -161,8 +165,9 @@ def gains(keys: Geometric) -> tuple[ca.DM, ca.DM, ca.DM, ca.DM]:
     """K_x (1/s^2), K_v (1/s), K_R (1/s^2), K_w (1/s), diagonals (3,)."""
     position = np.array(keys.position_bandwidth)
     attitude = np.array(keys.attitude_bandwidth)
-    values = (position**2, 2 * keys.position_damping * position, attitude**2, 2 * keys.attitude_damping * attitude)
-    return tuple(map(ca.DM, values))
+    by_velocity = 2 * keys.position_damping * position
+    by_rate = 2 * keys.attitude_damping * attitude
+    return ca.DM(position**2), ca.DM(by_velocity), ca.DM(attitude**2), ca.DM(by_rate)
 
 
 def _turning(
@@ -170,7 +175,8 @@ def _turning(
 ) -> tuple[Expression, Expression, Expression]:
     """A body axis (3,) in the world with its two derivatives, of an attitude with rate w and w', (3,) each."""
     across = ca.cross(w, axis)
-    return (R @ axis, R @ across, R @ (ca.cross(w, across) + ca.cross(w_dot, axis)))
+    second = ca.cross(w, across) + ca.cross(w_dot, axis)
+    return R @ axis, R @ across, R @ second
 
 
 def _reference_derivatives(
@@ -182,7 +188,8 @@ def _reference_derivatives(
     snap = path[:, 4]
     along = ca.dot(z, jerk)
     turned = thrust * z_2 + 2 * along * z_1
-    return thrust * z_1 + along * z, turned + z * (ca.dot(z, snap) - ca.dot(z, turned))
+    lengthened = z * (ca.dot(z, snap) - ca.dot(z, turned))
+    return thrust * z_1 + along * z, turned + lengthened
 
 
 def _in_ball(vector: Expression, radius: float) -> Expression:

@@ -82,12 +82,14 @@ def compensated_thrust(
     command: Expression, ratio: Expression, exponent: Exponent, thrust_max: Expression
 ) -> Expression:
     """Thrust (n,) (N) where the flight stack compensates the voltage; thrust_max: at full throttle and V_ref (N)."""
-    return ca.fmin(command, thrust_max * _power(ratio, exponent))
+    most = thrust_max * _power(ratio, exponent)
+    return ca.fmin(command, most)
 
 
 def compensated_power(power: Expression, ratio: Expression, exponent: Exponent, power_max: Expression) -> Expression:
     """Power of all rotors (W) at the compensated thrust; power: of every command, (n,); power_max: of thrust_max."""
-    return ca.sum1(ca.fmin(power, power_max * _power(ratio, 1.5 * exponent)))
+    most = power_max * _power(ratio, 1.5 * exponent)
+    return ca.sum1(ca.fmin(power, most))
 
 
 def _power(ratio: Expression, exponent: Exponent) -> Expression:
@@ -117,7 +119,8 @@ def operating_point(
     slope = ca.jacobian(gap, symbol)
     bend = ca.jacobian(slope, symbol)
     slope = ca.fmax(slope, LEAST_SLOPE)
-    change = gap * slope / ca.fmax(slope**2 - gap * bend / 2, slope**2 / 2)  # at most twice Newton's
+    divisor = ca.fmax(slope**2 - gap * bend / 2, slope**2 / 2)  # the change is at most twice Newton's
+    change = gap * slope / divisor
     voltage = ca.fmax(ca.substitute(symbol - change, symbol, guess), 1e-3)
     current = power_at(voltage) / voltage
     return OperatingPoint(source - resistance * current, current, thrust_at(voltage))

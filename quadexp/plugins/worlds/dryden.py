@@ -75,7 +75,10 @@ def intensities(altitude: float, wind_at_6m: float) -> np.ndarray:
 def axes(mean_wind: np.ndarray) -> np.ndarray:
     """World directions of along, across and vertical as columns, (3, 3), for a mean wind (3,), world (m/s)."""
     speed = math.hypot(mean_wind[0], mean_wind[1])
-    x, y = (mean_wind[0] / speed, mean_wind[1] / speed) if speed > 0 else (1.0, 0.0)
+    if not speed:
+        return np.eye(3)
+    x = mean_wind[0] / speed
+    y = mean_wind[1] / speed
     return np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
 
 
@@ -161,14 +164,21 @@ class Dryden(MeanWind):
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         """The filters begin in their stationary distribution."""
         mean = np.array(self.velocity)
-        at_6m = math.hypot(*self.velocity[:2]) if self.wind_at_6m is None else self.wind_at_6m
-        intensity = intensities(self.altitude, at_6m) if self.intensity is None else self.intensity
-        speeds = (self.airspeed_min, math.inf) if self.airspeed is None else (self.airspeed, self.airspeed)
+        intensity: Any = self.intensity
+        if intensity is None:
+            at_6m = self.wind_at_6m
+            if at_6m is None:
+                at_6m = math.hypot(*self.velocity[:2])
+            intensity = intensities(self.altitude, at_6m)
+        speeds = (self.airspeed_min, math.inf)
+        if self.airspeed is not None:
+            speeds = (self.airspeed, self.airspeed)
         parameters = np.concatenate([mean, axes(mean).ravel(order="F"), intensity, self._lengths(), speeds])
         filters = stationary(rng.standard_normal(N_NOISE))
         first = _blown()(filters, parameters).full().ravel()
         slots = Ticking(N_NOISE, TICK, start.clock.period).slots
-        return np.concatenate([filters, first, np.zeros(4 * slots)]), parameters
+        inner = np.concatenate([filters, first, np.zeros(4 * slots)])
+        return inner, parameters
 
     def begin(self, at: Moment) -> Expression:
         """The winds of the period."""
@@ -188,14 +198,18 @@ class Dryden(MeanWind):
             winds.append(_velocity(filters, at.parameters))
             times.append(time)
         filters = ca.if_else(times[-1] < NEVER, filters, before)  # a period may have one tick less than there are slots
-        return ca.vertcat(filters, winds[0], *(after - before for before, after in pairwise(winds)), *times)
+        added = [after - before for before, after in pairwise(winds)]
+        return ca.vertcat(filters, winds[0], *added, *times)
 
     def wind(self, at: Moment) -> Expression:
         """The last that holds when the step begins."""
         count = (at.inner.numel() - N_FILTER - 3) // 4
         first, *added = ca.vertsplit(at.inner[N_FILTER:-count], 3)
         times = ca.vertsplit(at.inner[-count:])
-        return first + sum((at.t >= time - IN_TIME) * more for time, more in zip(times, added, strict=True))
+        change = 0
+        for time, more in zip(times, added, strict=True):
+            change += (at.t >= time - IN_TIME) * more
+        return first + change
 
 
 @cache

@@ -30,7 +30,7 @@ from quadexp.log.schema import BIAS_COLUMNS
 from quadexp.names import named
 from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.parts.settings import key, keyed
-from quadexp.physics.expression import symbols
+from quadexp.physics.expression import split, symbols
 from quadexp.physics.state import ATTITUDE, RATE, STATE_COLUMNS
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.worlds.error_state import (
@@ -104,10 +104,12 @@ class Navigation(Effect):
         return math.ceil(max(aid.delay for aid in self.sensors.aids) / interval - 1e-9)
 
     def sizes(self, clock: Clock, vehicle: Vehicle) -> Sizes:
-        return Sizes(
-            inner=N_NOMINAL + N_COVARIANCE + self.entry_size * self.horizon(clock),
-            parameters=1 + N_DENSITIES + sum(len(aid.deviations) for aid in self.sensors.aids),
-        )
+        inner = N_NOMINAL + N_COVARIANCE + self.entry_size * self.horizon(clock)
+        return Sizes(inner, sum(self._parameter_sizes()))
+
+    def _parameter_sizes(self) -> list[int]:
+        """How many parameters are gravity and densities, and how many each aid's deviations."""
+        return [1 + N_DENSITIES, *(len(aid.deviations) for aid in self.sensors.aids)]
 
     def believed(self, gravity: float) -> np.ndarray:
         """Parameters: gravity, the IMU's densities, and the aids' deviations, as the filter takes them."""
@@ -131,14 +133,16 @@ class Navigation(Effect):
         b = b^ + e_b, and the estimate b^ is uncorrelated with all errors e: so cov(e, b) = cov(e, e_b).
         """
         gravity = start.vehicle.gravity
-        standing = _standing(self, start.vehicle.gravity)
+        standing = _standing(self, gravity)
         turned = Rotation.from_quat(start.x[ATTITUDE], scalar_first=True).as_matrix().T
         bias = start.begun[self.sensors.part][:N_BIAS]
         spread = self.sensors.bias_std**2
         by_bias = np.divide(standing[:, BIASES], spread, out=np.zeros((N_ERROR, N_BIAS)), where=spread > 0)
         values, vectors = np.linalg.eigh(standing - by_bias @ standing[BIASES])
-        drawn = vectors @ (np.sqrt(np.maximum(values, 0)) * rng.standard_normal(N_ERROR))
-        drawn += by_bias @ np.concatenate([turned.T @ bias[FORCE], turned.T @ bias[TURN]])
+        deviations = np.sqrt(np.maximum(values, 0))
+        drawn = vectors @ (deviations * rng.standard_normal(N_ERROR))
+        in_world = np.concatenate([turned.T @ bias[FORCE], turned.T @ bias[TURN]])
+        drawn += by_bias @ in_world
         to_body = np.eye(N_ERROR)
         for place in PLACES[2:]:
             to_body[np.ix_(place, place)] = turned
@@ -168,7 +172,8 @@ class Navigation(Effect):
         behind = self.horizon(at.clock)
         entries = ca.vertcat(measured["imu"], *(measured[aid.name] for aid in aids))
         queue = ca.horzcat(ca.reshape(at.inner[N_KNOWN:], self.entry_size, behind), entries)
-        known = self._filter().fold(count)(at.inner[:N_KNOWN], queue[:, :count], ca.repmat(at.parameters, 1, count))
+        parameters = ca.repmat(at.parameters, 1, count)
+        known = self._filter().fold(count)(at.inner[:N_KNOWN], queue[:, :count], parameters)
         queue = queue[:, count:]
         nominal = known[:N_NOMINAL]
         if behind:
@@ -186,20 +191,13 @@ class Navigation(Effect):
 
     def _filter(self) -> ca.Function:
         """([nominal state, covariance], entry, parameters) -> [nominal state, covariance] after the entry."""
-        known, entry, parameters = symbols(
-            ca.MX,
-            known=N_KNOWN,
-            entry=self.entry_size,
-            parameters=1 + N_DENSITIES + sum(len(aid.deviations) for aid in self.sensors.aids),
-        )
-        estimate = prediction()(known, entry[:N_READING], entry[N_READING], parameters[: 1 + N_DENSITIES])
-        place = N_ENTRY
-        first = 1 + N_DENSITIES
-        for aid in self.sensors.aids:
-            fix = entry[place : place + 1 + aid.size]
-            place = place + 1 + aid.size
-            deviations = parameters[first : first + len(aid.deviations)]
-            first = first + len(aid.deviations)
+        aids = self.sensors.aids
+        sizes = self._parameter_sizes()
+        known, entry, parameters = symbols(ca.MX, known=N_KNOWN, entry=self.entry_size, parameters=sum(sizes))
+        of_imu, *of_aids = split(parameters, sizes)
+        reading, *fixes = split(entry, [N_ENTRY, *(1 + aid.size for aid in aids)])
+        estimate = prediction()(known, reading[:N_READING], reading[N_READING], of_imu)
+        for aid, fix, deviations in zip(aids, fixes, of_aids, strict=True):
             estimate = correction(aid)(fix[0], estimate, fix[1:], deviations)
         return ca.Function("filter_step", [known, entry, parameters], [estimate])
 

@@ -40,8 +40,11 @@ def ground_wrench(
     """
     R = rotation_matrix(x[ATTITUDE])
     height = x[POSITION][2] - ground + (R[2, :] @ position).T
-    added = ca.if_else(height < limit, thrust_factor(height, radius) - 1, 0) * thrust
-    torque = ca.vertcat(ca.dot(position[1, :].T, added), -ca.dot(position[0, :].T, added), 0)
+    share = ca.if_else(height < limit, thrust_factor(height, radius) - 1, 0)
+    added = share * thrust
+    roll = ca.dot(position[1, :].T, added)
+    pitch = ca.dot(position[0, :].T, added)
+    torque = ca.vertcat(roll, -pitch, 0)
     return R @ along_z(ca.sum1(added)), torque
 
 

@@ -42,9 +42,10 @@ import numpy as np
 from quadexp.compile.symbolic import ca
 from quadexp.errors import UsageError
 from quadexp.log.schema import BIAS_COLUMNS
+from quadexp.names import named
 from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.parts.settings import Setting, key, keyed
-from quadexp.physics.expression import Expression, split
+from quadexp.physics.expression import Expression, split, symbols
 from quadexp.physics.rotation import along_z, exponential, product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -143,7 +144,7 @@ def read(
 
     exact: see `means`. bias: (6,). noise: standard normal, (12,). stated: see `densities`.
     """
-    spread = ca.vertcat(*(stated[i] for i in range(4) for _ in range(3)))
+    spread = ca.vec(ca.repmat(stated.T, 3, 1))  # each density on three axes
     reading = exact + bias + spread[:N_READING] / ca.sqrt(duration) * noise[:N_READING]
     return reading, bias + spread[N_READING:] * ca.sqrt(duration) * noise[N_READING:]
 
@@ -213,11 +214,11 @@ class InertialSensors(Effect):
         bounds = tuple(clock.step * i for i in self._instants(clock))
         drawn: list[Drawn] = [Held(N_READING, bounds, min(TICK, 1 / self.imu_rate)), Held(N_BIAS, bounds, WALK)]
         drawn += [Sampled(1 + aid.noise, bounds[1:], 1 / aid.rate) for aid in self.aids]
-        return Sizes(
-            inner=N_BIAS + N_CLOCK * len(self.aids),
-            parameters=1 + N_DENSITIES + sum(N_SAMPLING + len(aid.deviations) for aid in self.aids),
-            drawn=tuple(drawn),
-        )
+        return Sizes(N_BIAS + N_CLOCK * len(self.aids), sum(self._parameter_sizes()), tuple(drawn))
+
+    def _parameter_sizes(self) -> list[int]:
+        """How many parameters are gravity and densities, and how many each aid's."""
+        return [1 + N_DENSITIES, *(N_SAMPLING + len(aid.deviations) for aid in self.aids)]
 
     def start(self, rng: np.random.Generator, start: Start) -> tuple[Any, Any]:
         """Biases are drawn; all fixes are due their interval later."""
@@ -246,35 +247,35 @@ class InertialSensors(Effect):
         drawn = split(at.draws, (size * count for size in sizes))
         noise = ca.vertcat(*(ca.reshape(sample, -1, count) for sample in drawn))
         parameters = ca.repmat(at.parameters, 1, count)
-        inner, *told_now = self._tick().mapaccum(count)(at.inner, before, after, durations, noise, parameters)
-        measured = measured | {"specific_force": told_now[0][FORCE, -1], "imu": ca.vertcat(told_now[0], durations)}
-        return inner[:, -1], measured | {aid.name: fix for aid, fix in zip(self.aids, told_now[1:], strict=True)}
+        inner, imu, *fixes = self._tick().mapaccum(count)(at.inner, before, after, durations, noise, parameters)
+        measured = measured | {"specific_force": imu[FORCE, -1], "imu": ca.vertcat(imu, durations)}
+        return inner[:, -1], measured | named((aid.name for aid in self.aids), fixes)
 
     def _tick(self) -> ca.Function:
         """(inner, state before, state after, duration, noise, parameters) -> inner, reading (6,), fixes of the aids."""
-        sizes = [N_BIAS + N_CLOCK * len(self.aids), N_STATE, N_STATE, 1]
-        sizes += [N_NOISE + sum(aid.noise + 1 for aid in self.aids)]
-        sizes += [1 + N_DENSITIES + sum(N_SAMPLING + len(aid.deviations) for aid in self.aids)]
-        symbols = [ca.SX.sym(f"s{i}", size) for i, size in enumerate(sizes)]
-        inner, before, after, duration, noise, parameters = symbols
-        gravity = parameters[0]
-        densities = parameters[1 : 1 + N_DENSITIES]
-        exact = means(before, after, duration, gravity)
-        reading, bias = read(exact, inner[:N_BIAS], duration, noise[:N_NOISE], densities)
-        clocks = []
+        inner_sizes = [N_BIAS, *(N_CLOCK for _ in self.aids)]
+        noise_sizes = [N_NOISE, *(1 + aid.noise for aid in self.aids)]
+        sizes = self._parameter_sizes()
+        arguments = symbols(
+            ca.SX,
+            inner=sum(inner_sizes),
+            before=N_STATE,
+            after=N_STATE,
+            duration=1,
+            noise=sum(noise_sizes),
+            parameters=sum(sizes),
+        )
+        inner, before, after, duration, noise, parameters = arguments
+        bias, *clocks = split(inner, inner_sizes)
+        noise, *of_aids = split(noise, noise_sizes)
+        parameters, *settings = split(parameters, sizes)
+        exact = means(before, after, duration, parameters[0])
+        reading, bias = read(exact, bias, duration, noise, parameters[1:])
         fixes = []
-        drawn = N_NOISE
-        first = 1 + N_DENSITIES
         for i, aid in enumerate(self.aids):
-            clock = inner[N_BIAS + N_CLOCK * i : N_BIAS + N_CLOCK * (i + 1)]
-            sampling = parameters[first : first + N_SAMPLING]
-            first = first + N_SAMPLING
-            deviations = parameters[first : first + len(aid.deviations)]
-            first = first + len(aid.deviations)
-            taken, clock = sample(clock, duration, noise[drawn], sampling)
-            fix = aid.measure(after, noise[drawn + 1 : drawn + 1 + aid.noise], deviations)
-            drawn += 1 + aid.noise
-            clocks.append(clock)
+            numbers = of_aids[i]
+            taken, clocks[i] = sample(clocks[i], duration, numbers[0], settings[i][:N_SAMPLING])
+            fix = aid.measure(after, numbers[1:], settings[i][N_SAMPLING:])
             fixes.append(ca.vertcat(taken, fix))
         results = [ca.densify(result) for result in (ca.vertcat(bias, *clocks), reading, *fixes)]
-        return ca.Function("inertial_sensors", symbols, ca.cse(results))
+        return ca.Function("inertial_sensors", arguments, ca.cse(results))

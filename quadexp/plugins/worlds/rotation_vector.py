@@ -14,13 +14,17 @@ def conjugate(q: Expression) -> Expression:
 
 def cross_matrix(v: Expression) -> Expression:
     """[v]x, (3, 3), with [v]x u = v x u."""
-    return ca.vertcat(ca.horzcat(0, -v[2], v[1]), ca.horzcat(v[2], 0, -v[0]), ca.horzcat(-v[1], v[0], 0))
+    x = v[0]
+    y = v[1]
+    z = v[2]
+    return ca.blockcat([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
 
 def logarithm(q: Expression) -> Expression:
     """Log(q), the rotation vector (3,) (rad) of the shorter way round of a unit quaternion."""
     length = ca.sqrt(ca.sumsqr(q[1:]) + SMALLEST)
-    return ca.if_else(q[0] < 0, -1, 1) * 2 * ca.atan2(length, abs(q[0])) / length * q[1:]
+    shorter = ca.if_else(q[0] < 0, -1, 1)
+    return shorter * 2 * ca.atan2(length, abs(q[0])) / length * q[1:]
 
 
 def right_jacobian(phi: Expression) -> Expression:
@@ -29,6 +33,8 @@ def right_jacobian(phi: Expression) -> Expression:
     angle = ca.sqrt(square)
     cross = cross_matrix(phi)
     near = square < 1e-4  # where the quotients lose their digits, their series
-    first = ca.if_else(near, 1 / 2 - square / 24, 2 * ca.sin(angle / 2) ** 2 / square)
-    second = ca.if_else(near, 1 / 6 - square / 120, (angle - ca.sin(angle)) / (angle * square))
+    first = 2 * ca.sin(angle / 2) ** 2 / square
+    second = (angle - ca.sin(angle)) / (angle * square)
+    first = ca.if_else(near, 1 / 2 - square / 24, first)
+    second = ca.if_else(near, 1 / 6 - square / 120, second)
     return ca.DM.eye(3) - first * cross + second * (cross @ cross)

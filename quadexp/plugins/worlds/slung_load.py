@@ -67,9 +67,10 @@ def check_step(cable: Cable, step: float, vehicle_mass: float) -> None:
 
 def hanging(cable: Cable, x: np.ndarray) -> np.ndarray:
     """[position, velocity] of the load, (6,), world: at rest beneath the vehicle in the state x (13,)."""
-    anchor, velocity = (np.array(part).ravel() for part in _anchor(cable, ca.DM(x)))
+    anchor, velocity = _anchor(cable, ca.DM(x))
     stretch = cable.mass * cable.gravity / cable.stiffness
-    return np.concatenate([anchor - [0, 0, cable.length + stretch], velocity])
+    load = anchor - along_z(cable.length + stretch)
+    return np.array(ca.vertcat(load, velocity)).ravel()
 
 
 def cable_force(cable: Cable, x: Expression, load: Expression, step: Expression) -> Expression:
@@ -80,8 +81,10 @@ def cable_force(cable: Cable, x: Expression, load: Expression, step: Expression)
     ahead = relative + step / 2 * rate
     length = ca.sqrt(ca.sumsqr(ahead) + 1e-12)  # differentiable where the load meets the vehicle
     direction = ahead / length
-    tension = cable.stiffness * (length - cable.length) + cable.damping * ca.dot(direction, rate)
-    return ca.if_else(length > cable.length, ca.fmax(tension, 0), 0) * direction
+    tension = cable.stiffness * (length - cable.length)
+    tension += cable.damping * ca.dot(direction, rate)
+    pull = ca.if_else(length > cable.length, ca.fmax(tension, 0), 0)
+    return pull * direction
 
 
 def cable_torque(cable: Cable, q: Expression, force: Expression) -> Expression:
@@ -94,7 +97,9 @@ def advanced(cable: Cable, load: Expression, force: Expression, wind: Expression
     through_air = load[3:] - wind
     drag = cable.drag * ca.sqrt(ca.sumsqr(through_air) + 1e-12) * through_air
     acceleration = along_z(-cable.gravity) - (force + drag) / cable.mass
-    return ca.vertcat(load[:3] + step * load[3:] + step**2 / 2 * acceleration, load[3:] + step * acceleration)
+    velocity = load[3:]
+    position = load[:3] + step * velocity + step**2 / 2 * acceleration
+    return ca.vertcat(position, velocity + step * acceleration)
 
 
 def _anchor(cable: Cable, x: Expression) -> tuple[Expression, Expression]:
@@ -155,7 +160,8 @@ class SlungLoad(Payload):
 
     def advance(self, at: Moment) -> Expression:
         rope = self._cable(at)
-        return advanced(rope, at.inner, cable_force(rope, at.x, at.inner, at.step), at.wind, at.step)
+        force = cable_force(rope, at.x, at.inner, at.step)
+        return advanced(rope, at.inner, force, at.wind, at.step)
 
     @staticmethod
     def _cable(at: Moment) -> Cable:
