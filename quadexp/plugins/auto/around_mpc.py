@@ -21,8 +21,8 @@ from quadexp.physics.state import ATTITUDE, N_STATE
 from quadexp.plugins.auto.ahead import CommandsAhead, prediction_numbers, sent_commands, span_weights
 from quadexp.plugins.auto.auto import Auto
 from quadexp.plugins.auto.decide import Decision, grids
-from quadexp.plugins.auto.disturbance import speeds_tell
 from quadexp.plugins.auto.settings import DECISION
+from quadexp.plugins.auto.sources import speeds_tell
 from quadexp.plugins.remedies.delay_line import DelayLine, later_speeds
 from quadexp.plugins.remedies.sent_commands import INSTANT
 

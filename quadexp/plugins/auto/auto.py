@@ -34,9 +34,10 @@ from quadexp.physics.state import N_STATE
 from quadexp.plugins.auto.ahead import Ahead, Delivered, prediction_numbers, span_weights
 from quadexp.plugins.auto.bank import Bank
 from quadexp.plugins.auto.decide import KEPT, NOTHING, Decision, decision_function, known, start_of
-from quadexp.plugins.auto.disturbance import DEVIATIONS, DisturbanceFilter, sources, speeds_tell
+from quadexp.plugins.auto.disturbance import DEVIATIONS, DisturbanceFilter
 from quadexp.plugins.auto.posterior import Search
 from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL
+from quadexp.plugins.auto.sources import sources, speeds_tell
 from quadexp.plugins.remedies.delay.strapdown import TunedStrapdown
 from quadexp.plugins.remedies.observers.observer import COLUMNS as BELIEVED
 from quadexp.plugins.remedies.observers.wind import WindObserver, wind_bandwidth
@@ -95,7 +96,7 @@ class Auto(WrappedController):
         of = sources(vehicle, sensor_spec, slope * self._has_drag, by_speeds=self._by_speeds)
         self._memory = Memory("Auto", KEPT)
         now, flags = self._memory.of_now, ("searches", "rounds")
-        told = {name: self._bank.part(name) for name in ("lateral", "noise")}
+        told = {name: self._bank.memory.of_now[name] for name in ("lateral", "noise")}
         told |= {"timing": now["decision"][-1:], "delays": now["decision"][:3]}
         told |= {name: now[name] for name in ("apart", "late")}
         self._filter = DisturbanceFilter(vehicle, air, theta, period, backend, of, told)
