@@ -231,8 +231,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     between = f @ (1 - share) + held[:, 0] @ share
     earlier = ca.if_else(ca.repmat(share < 1, 3, 1), between, held[:, :-1])
     forces = ca.horzcat(f, earlier)  # the newest first
-    same_sign = ca.sign(ca.dot(x[ATTITUDE], last[ATTITUDE]))
-    q = x[ATTITUDE] + last[ATTITUDE] * same_sign
+    q = x[ATTITUDE] + last[ATTITUDE] * ca.sign(ca.dot(x[ATTITUDE], last[ATTITUDE]))
     turned = period * rotation_matrix(q / ca.norm_2(q))
     gravity = period * vehicle.gravity * ca.DM([[0.0, 0.0, 1.0]])
     drive = ca.vertcat(gravity, (turned @ forces).T, turned.T)
@@ -250,9 +249,8 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     # attitude: the same in body axes, of the rotation in a period
     rates = ca.horzcat(w, ca.reshape(kept["rates"], 3, readings)[:, :-1])
     back = ca.vertcat(last[ATTITUDE][0], -last[ATTITUDE][1:])
-    relative = product(back, x[ATTITUDE] * same_sign)
-    sine = relative[1:]
-    rotated = 2 * sine * (1 + ca.sumsqr(sine) / 6)  # the arc of a sine, to third order
+    relative = product(back, x[ATTITUDE] * ca.sign(ca.dot(x[ATTITUDE], last[ATTITUDE])))
+    rotated = 2 * relative[1:] * (1 + ca.sumsqr(relative[1:]) / 6)  # the arc of a sine, to third order
     flown = time > BANK.largest_age + 2 * period  # until then given attitudes may be those from before the flight
     before = flown * ca.reshape(kept["attitude_before"], columns, 3)
     attitude = ca.vertcat(rotated.T, period * rates.T, period * ca.DM.eye(3))

@@ -129,8 +129,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     # no force is followed faster than most_force_bandwidth, which is q / (r sqrt(T)) of a random walk
     fastest = SPEEDS.most_force_bandwidth if known.by_speeds else s.most_force_bandwidth
     least = (max(known.random_walk[FORCE]) / fastest) ** 2 / period
-    noise = ca.vertcat(across, across, across + along)
-    variance = ca.fmax(noise, least * ca.DM([not known.has_drag] * 2 + [1]))
+    variance = ca.fmax(ca.vertcat(across, across, across + along), least * ca.DM([not known.has_drag] * 2 + [1]))
     N = ca.diag(variance)
     doubted = s.sheet_factor**2 * across
     doubt = ca.diag(ca.vertcat(doubted, doubted, doubted + along))
@@ -187,8 +186,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
         shrink = ca.sqrt(ca.fmin(1, first_wind / ca.fmax(ca.trace(P[WIND, WIND]), TINY)))
         by = ca.diag(ca.vertcat(shrink, shrink, shrink, ca.DM.ones(N_ESTIMATE - 3)))
         covariances.append(by @ P @ by)
-        force = estimate[FORCE]
-        force = force * ca.fmin(1, most_force / ca.fmax(ca.norm_2(force), TINY))
+        force = estimate[FORCE] * ca.fmin(1, most_force / ca.fmax(ca.norm_2(estimate[FORCE]), TINY))
         scale = limited(estimate[SCALE], *s.scale_limits)
         air_scale = limited(estimate[AIR], *SPEEDS.air_limits)
         estimates.append(ca.vertcat(estimate[WIND], scale, force, air_scale))
@@ -211,10 +209,9 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     for i, (of_rate, of_torque) in enumerate(gains):
         torque = kept["torque"][3 * i : 3 * i + 3]
         predicted = kept["rates"][3 * i : 3 * i + 3] + period * (acting + torque)
-        innovation = rate - predicted
-        rates.append(predicted + of_rate * innovation)
-        torques.append(torque + of_torque * innovation)
-        spins.append(-ca.sumsqr(innovation[:2] / (s.sheet_factor * s.rate_noise)) / 2)
+        rates.append(predicted + of_rate * (rate - predicted))
+        torques.append(torque + of_torque * (rate - predicted))
+        spins.append(-ca.sumsqr((rate - predicted)[:2] / (s.sheet_factor * s.rate_noise)) / 2)
     torque_evidence = _summed(kept["torque_evidence"], fading, spins)
     # a compensation that is behind by more than its time constant is no longer below the attitude loop
     behind = period + ca.sum1(a["delays"])
@@ -258,7 +255,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     by_drag = rest[SCALE] * ca.norm_2(x[VELOCITY] - wind[WIND])
     off = ca.hypot(known.wind_offset, by_drag) + (1 - acts[1]) * ca.DM([0, 0, known.wind_untimed])
     shown = 0 if known.has_drag else ca.fmax(acts[0], acts[1])
-    noises = ca.sqrt(noise / variance)  # what limits the bandwidth is no noise
+    noises = ca.sqrt(ca.vertcat(across, across, across + along) / variance)  # what limits the bandwidth is no noise
     winds, forces = [np.nan] * 3, []
     for i in range(3):
         if known.has_drag:
