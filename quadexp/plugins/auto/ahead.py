@@ -96,19 +96,11 @@ class Ahead:
         return calls, end
 
 
-class Delivered:
-    """The thrusts of the rotors over spans, (n,) each (N), by the commands. tuned: weights of the commands in each, the
-    oldest first, (s, m)."""
-
-    def __init__(self, commands: SentCommands, backend: str, spans: int) -> None:
-        function = cached_function(backend, weighted, *commands.values.shape, spans)
-        self._weigh = BufferedFunction(function, {"commands": commands.values})
-        self.tuned = self._weigh.arguments["weights"]
-        self.thrusts = self._weigh.results["thrust"].reshape(spans, -1)
-
-    def before(self) -> list[Call]:
-        """Leaves `thrusts`."""
-        return [call(self._weigh)]
+def delivered_thrusts(commands: SentCommands, backend: str, spans: int) -> BufferedFunction:
+    """The thrusts of the rotors over spans, `thrust`, (s, n) (N), by the commands and their `weights` in each span, the
+    oldest first, (s, m); of one span (n,) and (m,)."""
+    function = cached_function(backend, weighted, *commands.values.shape, spans)
+    return BufferedFunction(function, {"commands": commands.values})
 
 
 def weighted(count: int, rotors: int, spans: int) -> ca.Function:
@@ -128,7 +120,7 @@ class CommandsAhead:
         if mpc.disturbance is not None:
             shared["push"] = mpc.disturbance
         self.ahead = Ahead(mpc.vehicle, mpc.residual, mpc.backend, self.sent, shared, DECISION.largest_wait)
-        self.delivered = Delivered(self.sent, mpc.backend, 1)
+        self.delivered = delivered_thrusts(self.sent, mpc.backend, 1)
         self._full = np.zeros(N_STATE + mpc.vehicle.n_rotors)
 
     def reset(self, thrust: np.ndarray) -> None:
@@ -144,9 +136,9 @@ class CommandsAhead:
     def before(self, state: np.ndarray) -> tuple[list[Call], np.ndarray]:
         """See DeadTimePredictor.before; the thrusts stand behind the state, (13 + n,)."""
         calls, now = self.ahead.before(state)
-        calls += self.delivered.before()
+        calls.append(call(self.delivered))
         calls.append(copy(self._full[:N_STATE], now))
-        calls.append(copy(self._full[N_STATE:], self.delivered.thrusts[0]))
+        calls.append(copy(self._full[N_STATE:], self.delivered.results["thrust"]))
         return calls, self._full
 
     def after(self, command: np.ndarray) -> list[Call]:

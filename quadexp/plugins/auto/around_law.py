@@ -64,11 +64,13 @@ class AutoLaw(Auto):
         core.rows = self._rows
         tuned = self._ahead.tuned("ahead") | self._times | {"jump_rows": self._jump_rows}
         nodes = tuple(core.node_times.tolist())
-        self._plans({}, tuned, law_form, len(self._commands.values), self._ahead.parts, spacing, nodes, self.believes)
+        count, parts = len(self._commands.values), self._ahead.parts
+        self._plans({}, tuned, law_form, count, parts, spacing, nodes, self.believes)
 
     def _retuned(self, when: np.ndarray | None = None) -> list[Call]:
         """See Auto: what was given the path is of another time."""
-        return [*super()._retuned(when), copy(self._jumps.of_next["goes_on"], np.zeros(1), when)]
+        goes_on = self._jumps.of_next["goes_on"]
+        return [*super()._retuned(when), copy(goes_on, np.zeros(1), when)]
 
     def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
         """See Auto."""
@@ -77,7 +79,8 @@ class AutoLaw(Auto):
     def _planned(self, inputs: InputArrays, now: np.ndarray) -> ControlStep:
         """See Auto."""
         calls, then = self._ahead.before(now)
-        states, thrusts = np.zeros((3, N_STATE)), np.zeros((2, self.vehicle.n_rotors))
+        states = np.zeros((3, N_STATE))
+        thrusts = np.zeros((2, self.vehicle.n_rotors))
         calls.append(Call("window", states, self._jump_rows, thrusts))
         inside = copying.copy(inputs)
         inside.path = np.zeros((DERIVATIVES, 3))
@@ -89,9 +92,11 @@ class AutoLaw(Auto):
         if self.believes:
             belief, path = self._assume.arguments.values()
             believed = self.wrapped.believed_numbers
-            calls += [copy(belief, believed), copy(path, inside.path), call(self._assume)]
+            calls += [copy(belief, believed), copy(path, inside.path)]
+            calls.append(call(self._assume))
             calls.append(copy(believed[:3], self._assume.results["force"]))
-        return step._replace(calls=[*calls, *step.calls], memory=(*step.memory, self._jumps))
+        calls += step.calls
+        return step._replace(calls=calls, memory=(*step.memory, self._jumps))
 
 
 def law_form(
@@ -105,13 +110,16 @@ def law_form(
     ahead = dead_time + lag
     first = ca.floor(ahead / spacing + 0.5)
     looks = first + round(PATH.looks / spacing)
-    rest = prediction_numbers("ahead", span_weights(count, period), parts, (0, ahead), dead_time, lag)
-    rest |= {"ahead": ahead, "at": looks * spacing, "jump_rows": looks + PATH.samples * ca.DM(range(3))}
+    weights = span_weights(count, period)
+    rest = prediction_numbers("ahead", weights, parts, (0, ahead), dead_time, lag)
+    rest["ahead"] = ahead
+    rest["at"] = looks * spacing
+    rest["jump_rows"] = looks + PATH.samples * ca.DM(range(3))
     rows = first + ca.DM(np.round(np.array(nodes) / spacing))
     return {}, (dead_time, lag), rows, rest
 
 
-def then(rows: list[ca.SX], ahead: Any) -> list[ca.SX]:
+def derivatives_after(rows: list[ca.SX], ahead: Any) -> list[ca.SX]:
     """A quantity and its derivatives, a time `ahead` (s) later: Taylor's series, to the last derivative."""
     later_rows = []
     for i in range(len(rows)):
@@ -130,11 +138,13 @@ def later(vehicle: Vehicle, period: float) -> ca.Function:
     velocity that they showed (m/s), and in which time it is (s), 0 for none, (4,). before: what path then was in the
     last step, where it `goes_on`, (3, 5). offset: e, e', c, (3, 3), see the module. These four are remembered.
     """
-    shapes = {"path": (3, DERIVATIVES), "yaw": 4, "ahead": 1, "states": (N_STATE, 3), "at": 1}
+    shapes: dict[str, Any] = {"path": (3, DERIVATIVES), "yaw": 4, "ahead": 1, "states": (N_STATE, 3), "at": 1}
     kept = {"coming": 4, "before": 3 * DERIVATIVES, "goes_on": 1, "offset": 9}
-    inputs = named_symbols(ca.SX, shapes | {NOW + name: size for name, size in kept.items()})
+    shapes |= {NOW + name: size for name, size in kept.items()}
+    inputs = named_symbols(ca.SX, shapes)
     path, yaw, ahead, states, at, coming, before, goes_on, offset = inputs.values()
-    before, offset = ca.reshape(before, 3, DERIVATIVES), ca.reshape(offset, 3, 3)
+    before = ca.reshape(before, 3, DERIVATIVES)
+    offset = ca.reshape(offset, 3, 3)
 
     thrust = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
     level = math.sqrt(thrust**2 - vehicle.gravity**2)
@@ -142,30 +152,34 @@ def later(vehicle: Vehicle, period: float) -> ca.Function:
     least = 2 * most * period
 
     # a jump between two states, beyond what the velocity changes by anyway; where in the period it is, by the positions
-    p, v = ca.horzsplit(states[POSITION, :]), ca.horzsplit(states[VELOCITY, :])
+    p = ca.horzsplit(states[POSITION, :])
+    v = ca.horzsplit(states[VELOCITY, :])
     last = v[1] - v[0]
     change = v[2] - v[1]
     jump = change - last
-    shows = (ca.norm_2(jump) > least) * (ca.norm_2(change) > ca.norm_2(last)) * (coming[3] <= 0)
-    since = ca.dot(p[2] - p[1] - period * v[1], jump) / ca.fmax(ca.sumsqr(jump), PATH.ended)
+    is_jump = (ca.norm_2(jump) > least) * (ca.norm_2(change) > ca.norm_2(last))
+    shows = is_jump * (coming[3] <= 0)
+    moved_more = p[2] - p[1] - period * v[1]
+    since = ca.dot(moved_more, jump) / ca.fmax(ca.sumsqr(jump), PATH.ended)
     jump = ca.if_else(shows, jump, coming[:3])
     left = ca.if_else(shows, at + 2 * period - since, coming[3] - period)
     early = PATH.early * ca.norm_2(jump) / most
     seen = (left > PATH.ended) * (left - ahead < early)
 
     # the path behind the jump, and the offset from it that makes both ends meet
-    moved = then(ca.horzsplit(path), ahead)
+    moved = derivatives_after(ca.horzsplit(path), ahead)
     moved[0] += seen * (ahead - left) * jump
     moved[1] += seen * jump
-    expected = then(ca.horzsplit(before), period)
+    expected = derivatives_after(ca.horzsplit(before), period)
     jumps = goes_on * (ca.norm_2(moved[1] - expected[1]) > least)
-    e, e_1, c = then(ca.horzsplit(offset), period)
+    e, e_1, c = derivatives_after(ca.horzsplit(offset), period)
     e = e - jumps * (moved[0] - expected[0])
     e_1 = e_1 - jumps * (moved[1] - expected[1])
 
     # which dies out
-    far, fast, _ = then([e, e_1, c], 1 / PATH.turns)
-    back = ca.sqrt(2 * PATH.brakes * most / ca.fmax(ca.norm_2(far), PATH.ended))
+    far, fast, _ = derivatives_after([e, e_1, c], 1 / PATH.turns)
+    distance = ca.fmax(ca.norm_2(far), PATH.ended)
+    back = ca.sqrt(2 * PATH.brakes * most / distance)
     wanted = -ca.fmin(PATH.back / 2, back) * far
     u = 2 * PATH.back * (wanted - fast)
     u *= most / ca.fmax(ca.norm_2(u), most)
@@ -173,7 +187,7 @@ def later(vehicle: Vehicle, period: float) -> ca.Function:
     after = ca.horzcat(e, e_1, c + period * jerk)
     lasts = ca.sumsqr(after) > PATH.ended**2
     path_then = ca.horzcat(*moved)
-    yaw_then = then(ca.vertsplit(yaw[:3]), ahead)
+    yaw_then = derivatives_after(ca.vertsplit(yaw[:3]), ahead)
     results = {
         "path_then": path_then + lasts * ca.horzcat(after, jerk, ca.SX.zeros(3)),
         "yaw_then": ca.vertcat(*yaw_then, yaw[3]),
@@ -200,11 +214,13 @@ def world_of(vehicle: Vehicle) -> ca.Function:
     path = ca.SX.sym("path", 3, DERIVATIVES)
     force, torque, wind, scale, _ = ca.vertsplit(belief, [0, 3, 6, 9, 10, N_BELIEF])
     spin = ca.inv(ca.DM(vehicle.inertia_matrix)) @ torque
-    taken = vehicle.mass * (path[:, 2] + ca.vertcat(0, 0, vehicle.gravity))
+    specific = path[:, 2] + ca.vertcat(0, 0, vehicle.gravity)
+    taken = vehicle.mass * specific
     most = PATH.turning * vehicle.n_rotors * vehicle.thrust_max * scale
     along = ca.dot(taken, force)
     square = ca.fmax(ca.sumsqr(force), PATH.ended**2)
-    root = ca.sqrt(ca.fmax(along**2 + square * (most**2 - ca.sumsqr(taken)), 0))
+    room = along**2 + square * (most**2 - ca.sumsqr(taken))
+    root = ca.sqrt(ca.fmax(room, 0))
     share = limited((along + root) / square, 0, 1)
     push = ca.vertcat(force / vehicle.mass, spin)
     results = {"push": push, "wind": wind, "scale": scale, "force": share * force}

@@ -27,6 +27,8 @@ from quadexp.plugins.auto.sources import speeds_tell
 from quadexp.plugins.remedies.delay_line import DelayLine, later_speeds
 from quadexp.plugins.remedies.sent_commands import INSTANT
 
+GRID = slice(4, 5)  # of a Decision
+
 
 class AutoMPC(Auto):
     """The MPC plans in the world that is assumed; its grid and weights are one of DECISION.grids."""
@@ -36,57 +38,67 @@ class AutoMPC(Auto):
     def __init__(self, core: PredictiveController, sensor_spec: SensorSpec) -> None:
         core.targets = speeds_tell(core.vehicle, sensor_spec)  # else of next to no weight beside that of the position
         super().__init__(core, sensor_spec, core.mpc.residual, parameters_of(core))
-        mpc, numbers, backend = core.mpc, core.believed_numbers, core.backend
+        mpc, backend = core.mpc, core.backend
         assert core.believed is not None and mpc.disturbance is not None
-        self._now = {"push": mpc.disturbance, "wind": numbers[6:9], "scale": numbers[9:10]}
+        wind, scale = core.believed_numbers[6:9], core.believed_numbers[9:10]
+        self._now = {"push": mpc.disturbance, "wind": wind, "scale": scale}
         self._ahead = core.predictor = CommandsAhead(mpc)
         core.lead = MotorLead(mpc.limits, core.settings, backend)
         self._grids = grids(core.settings)
         spacing = self.control_period / DECISION.samples
-        longest = DECISION.largest_wait + max(settings.horizon for settings in self._grids)
+        longest = max(settings.horizon for settings in self._grids)
+        longest += DECISION.largest_wait
         self.node_times = spacing * np.arange(math.ceil(longest / spacing) + 2)
         core.believed.rows = self._rows
 
-        of_grids = [mpc.weights(settings) | {"times": settings.reference_times} for settings in self._grids]
-        sizes = tuple((name, value.size) for name, value in of_grids[0].items())
-        table = [np.hstack([np.ravel(value) for value in of_grid.values()]) for of_grid in of_grids]
+        table = []
+        for settings in self._grids:
+            weights = mpc.weights(settings)
+            numbers = weights | {"times": settings.reference_times}
+            table.append(np.hstack([np.ravel(value) for value in numbers.values()]))
+        sizes = tuple((name, value.size) for name, value in numbers.items())
         ahead = self._ahead.ahead
-        tuned = ahead.tuned("ahead") | {"delivered_ahead": self._ahead.delivered.tuned, "gain": core.lead.gain}
-        tuned |= core.believed.times
-        tuned |= {name: mpc.step.arguments[name] for name in mpc.weights(core.settings)}
+        tuned = ahead.tuned("ahead") | core.believed.times
+        tuned |= {"delivered_ahead": self._ahead.delivered.arguments["weights"], "gain": core.lead.gain}
+        tuned |= {name: mpc.step.arguments[name] for name in weights}
         sent = len(self._ahead.sent.values)
         self._plans({"table": np.stack(table)}, tuned, mpc_form, spacing, sent, ahead.parts, sizes)
 
         # where the grid is another one the last solution is moved to its nodes
         nodes = np.array([settings.node_times for settings in self._grids])
         function = cached_function(backend, resampled, *mpc._X.T.shape, mpc._U.shape[1])
-        grid = slice(4, 5)  # of a decision
-        places = {"X": mpc._X, "U": mpc._U, "grids": nodes, "before": self._memory.of_now["decision"][grid]}
-        self._resample = BufferedFunction(function, places | {"after": self._memory.of_next["decision"][grid]})
-        worked = mpc.memory.of_next.values()  # X, U, guess
-        self._resampled = list(zip(worked, map(np.ravel, self._resample.results.values()), strict=True))
+        last, decision = self._memory.of_now["decision"], self._memory.of_next["decision"]
+        places = {"X": mpc._X, "U": mpc._U, "grids": nodes, "before": last[GRID], "after": decision[GRID]}
+        self._resample = BufferedFunction(function, places)
+        solution = mpc.memory.of_next.values()  # X, U, guess
+        moved = map(np.ravel, self._resample.results.values())
+        self._resampled = list(zip(solution, moved, strict=True))
         whole = whole_periods(later_speeds(sensor_spec), self.control_period)
         self._delay_line = DelayLine(N_STATE + 4, whole, self.control_period, backend)
 
     def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
         """See Auto."""
-        seen = np.concatenate([x, np.zeros(4)])
-        kept = self._delay_line.memory
         sent = np.tile(thrust, len(self._ahead.sent.values))
-        begun = [(self._ahead.memory, {"commands": sent}), (kept, {"kept": np.tile(seen, kept.now.size // len(seen))})]
-        return [*super().starts(x, thrust), *begun]
+        delay_line = self._delay_line.memory
+        seen = np.concatenate([x, np.zeros(4)])
+        kept = np.tile(seen, delay_line.now.size // len(seen))
+        starts = super().starts(x, thrust)
+        starts.append((self._ahead.memory, {"commands": sent}))
+        starts.append((delay_line, {"kept": kept}))
+        return starts
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step."""
         step = super().control_step(inputs, state)
-        assumed = [copy(self._world[name], values) for name, values in self._now.items()]
-        return step._replace(calls=[*step.calls, *assumed], memory=(*step.memory, self._delay_line.memory))
+        calls = step.calls + [copy(self._world[name], values) for name, values in self._now.items()]
+        return step._replace(calls=calls, memory=(*step.memory, self._delay_line.memory))
 
     def _compared(self, inputs: InputArrays, now: np.ndarray) -> tuple[list[Call], dict[str, np.ndarray], np.ndarray]:
         """See Auto. Rotor speeds are compared with the state and reading of their time."""
         if not self._by_speeds:
             return super()._compared(inputs, now)
-        seen, thrust, read = np.zeros(N_STATE + 4), np.zeros(self.vehicle.n_rotors), np.zeros(1)
+        seen, read = np.zeros(N_STATE + 4), np.zeros(1)
+        thrust = np.zeros(self.vehicle.n_rotors)
         then, oldest = self._delay_line.output, self._delay_line.oldest
         coefficient = self.vehicle.thrust_coefficient or 0.0
         calls = [
@@ -135,7 +147,8 @@ def mpc_form(
     weights = span_weights(sent, period)
     rest = prediction_numbers("ahead", weights, parts, (0, waits), waits, lag)
     rest["delivered_ahead"] = weights(ca.vertcat(waits, waits, waits, lag))
-    rest["gain"] = 1 / (1 - ca.exp(-period / ca.fmax(lag, INSTANT)))
+    left = ca.exp(-period / ca.fmax(lag, INSTANT))
+    rest["gain"] = 1 / (1 - left)
     names, counts = zip(*sizes, strict=True)
     height = sum(counts)
     table = ca.MX.sym("table", height, 1 + len(s.grids))
@@ -144,20 +157,25 @@ def mpc_form(
     times = numbers["times"] = waits + numbers["times"]
     every = (times.numel() - 1) // numbers["dt"].numel()
     rows = ca.floor(times / spacing + 0.5)
-    return {"table": table}, (acts.dead_time, acts.lag), rows, rest | numbers | {"since": times[::every]}
+    rest |= numbers
+    rest["since"] = times[::every]
+    return {"table": table}, (acts.dead_time, acts.lag), rows, rest
 
 
 def resampled(width: int, rows: int, inputs: int) -> ca.Function:
     """X (width, N + 1) and U (n, N) of the nodes of one grid at those of another: states between them, of unit
     quaternion, beyond the last one its own; each input is the one that was held at its time. grids: times of the nodes
     (s), a column each. guess: of the active set, zeros."""
-    shapes = {"X": (width, rows), "U": (inputs, rows - 1), "grids": (rows, 1 + len(DECISION.grids))}
-    a = named_symbols(ca.MX, shapes | {"before": 1, "after": 1})
-    before, after = (a["grids"][ca.DM(range(rows)) + rows * a[name]] for name in ("before", "after"))
+    shapes = {"X": (width, rows), "U": (inputs, rows - 1)}
+    shapes |= {"grids": (rows, 1 + len(DECISION.grids)), "before": (1, 1), "after": (1, 1)}
+    a = named_symbols(ca.MX, shapes)
+    before = a["grids"][ca.DM(range(rows)) + rows * a["before"]]
+    after = a["grids"][ca.DM(range(rows)) + rows * a["after"]]
 
-    def place(times: Any, last: int) -> Any:
-        passed = ca.repmat(before.T, times.numel(), 1) < ca.repmat(times, 1, rows)
-        return limited(ca.sum2(passed) - 1, 0, last)
+    def place(times: Any) -> Any:
+        nodes = ca.repmat(before.T, times.numel(), 1)
+        passed = ca.sum2(nodes < ca.repmat(times, 1, rows))
+        return limited(passed - 1, 0, rows - 2)
 
     def columns(values: Any, at: Any) -> Any:
         height = values.size1()
@@ -165,13 +183,15 @@ def resampled(width: int, rows: int, inputs: int) -> ca.Function:
         elements = inside + height * ca.repmat(at.T, height, 1)
         return ca.reshape(values[ca.vec(elements)], height, at.numel())
 
-    at = place(after, rows - 2)
+    at = place(after)
     begins, ends = before[at], before[at + 1]
     share = limited((after - begins) / (ends - begins), 0, 1)
     share = ca.repmat(share.T, width, 1)
     X = (1 - share) * columns(a["X"], at) + share * columns(a["X"], at + 1)
     q = X[ATTITUDE, :]
     length = ca.sqrt(ca.sum1(q**2))
-    X = ca.vertcat(X[: ATTITUDE.start, :], q / ca.repmat(length, 4, 1), X[ATTITUDE.stop :, :])
-    U = columns(a["U"], place(after[:-1] + INSTANT, rows - 2))
-    return named_function("resampled", a, {"X_new": X, "U_new": U, "guess": ca.DM.zeros(inputs * (rows - 1))})
+    q = q / ca.repmat(length, 4, 1)
+    X = ca.vertcat(X[: ATTITUDE.start, :], q, X[ATTITUDE.stop :, :])
+    U = columns(a["U"], place(after[:-1] + INSTANT))
+    guess = ca.DM.zeros(inputs * (rows - 1))
+    return named_function("resampled", a, {"X_new": X, "U_new": U, "guess": guess})

@@ -32,7 +32,7 @@ from quadexp.names import named
 from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.physics.expression import named_function
 from quadexp.physics.state import N_STATE
-from quadexp.plugins.auto.ahead import Ahead, Delivered, prediction_numbers, sent_commands, span_weights
+from quadexp.plugins.auto.ahead import Ahead, delivered_thrusts, prediction_numbers, sent_commands, span_weights
 from quadexp.plugins.auto.bank import Bank
 from quadexp.plugins.auto.decide import KEPT, NOTHING, Decision, decision_function, known, start_of
 from quadexp.plugins.auto.disturbance import DEVIATIONS, DisturbanceFilter
@@ -76,7 +76,7 @@ class Auto(WrappedController):
         self._world = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}  # assumed in the last step
         self._believed = Memory("Believed", worked=self._world)
         self._to_now = Ahead(vehicle, residual, backend, self._commands, self._world | {"theta": theta})
-        self._delivered = Delivered(self._commands, backend, 2)  # now, and over the last period
+        self._delivered = delivered_thrusts(self._commands, backend, 2)  # now, and over the last period
         self._late, self._newer = np.zeros((2, 1))
         strapdown = TunedStrapdown(time=BANK.largest_age)
         self._strapdown = Layer(core, strapdown, Circumstances(period), places={"late": self._late})
@@ -121,18 +121,19 @@ class Auto(WrappedController):
         form = vehicle, period, self._bank.period, lately.size, apart
         function = cached_function(backend, decision_function, *form, unsaid=unsaid)
         places = {name: self._bank.memory.of_next[name] for name in ("count", "weights", "noise")}
-        places |= {"commands": lately, "acts": self._filter.acts} | self._search.left | self._search.found
+        places |= {"commands": lately, "acts": self._filter.acts}
+        places |= self._search.left | self._search.found
         self._decide = connected(function, places, {}, self._memory)
 
     def _plans(self, places: dict[str, np.ndarray], tuned: dict[str, np.ndarray], form: Any, *about: Any) -> None:
         """How it plans with a decision, see plan_function: what that reads beside the decision, and the arrays that it
         writes."""
-        common = {"late": self._late, "newer": self._newer, "delivered": self._delivered.tuned, "rows": self._rows}
-        tuned = self._to_now.tuned("late") | common | tuned
+        common = self._to_now.tuned("late") | {"late": self._late, "newer": self._newer}
+        common |= {"delivered": self._delivered.arguments["weights"], "rows": self._rows}
         count, parts = len(self._commands.values), self._to_now.parts
         function = cached_function(self.backend, plan_function, form, self.control_period, count, parts, *about)
         decision = self._memory.of_next["decision"]
-        self._tune = BufferedFunction(function, places | {"decision": decision}, tuned)
+        self._tune = BufferedFunction(function, places | {"decision": decision}, common | tuned)
         self._plan = Memory("Plan", worked=self._tune.results)
 
     def _retuned(self, when: np.ndarray | None = None) -> list[Call]:
@@ -141,9 +142,9 @@ class Auto(WrappedController):
 
     def _compared(self, inputs: InputArrays, now: np.ndarray) -> tuple[list[Call], dict[str, np.ndarray], np.ndarray]:
         """What leaves state, reading, thrust and mean of one time, see DisturbanceFilter, and whether it was read."""
-        thrust, mean = self._delivered.thrusts
+        thrust, mean = self._delivered.results["thrust"]
         known = {"x": now, "reading": inputs.specific_force, "thrust": thrust, "mean": mean}
-        return self._delivered.before(), known, inputs.accelerometer_valid
+        return [call(self._delivered)], known, inputs.accelerometer_valid
 
     def _planned(self, inputs: InputArrays, now: np.ndarray) -> ControlStep:
         """What the controller inside does in the state of now, which is found there, (13,)."""
@@ -153,7 +154,8 @@ class Auto(WrappedController):
         """See Controller.reset: nothing is known."""
         self._anew()
         rows = self._rows.astype(int)
-        inside = window._replace(state=window.state[rows], input=window.input[rows[:-1]])
+        states, thrusts = window.state[rows], window.input[rows[:-1]]
+        inside = window._replace(state=states, input=thrusts)
         super().reset(x, inside)
         for memory, values in self.starts(x, thrust_at_start(inside, self.vehicle)):
             memory.begin(values)
@@ -204,7 +206,8 @@ class Auto(WrappedController):
         belief = self._filter.belief
         calls = self._strapdown.calls("before", inputs, state)
         of_rates = np.zeros(N_STATE)  # the state of the time of the rates, and from there on by the model
-        calls += [copy(of_rates, state), copy(of_rates, self._strapdown.results["state"], self._newer)]
+        calls.append(copy(of_rates, state))
+        calls.append(copy(of_rates, self._strapdown.results["state"], self._newer))
         predicted, now = self._to_now.before(of_rates)
         calls += predicted
         if self.believes and (self._by_speeds or not self._judged):  # a push alone is evidence of a push
@@ -220,9 +223,10 @@ class Auto(WrappedController):
         memory = (*step.memory, self._strapdown.memory, self._filter.memory, self._commands.memory)
         memory += (self._bank.memory, self._bank.sums, self._believed)
         if not self._judged:
-            decided = [*self._search.calls(), call(self._decide), self._search.moved()]
+            decided = self._search.calls()
+            decided += [call(self._decide), self._search.moved()]
             decided += self._retuned(self._decide.results["retunes"])
-            calls += [o._replace(decides=True) for o in decided]
+            calls += [operation._replace(decides=True) for operation in decided]
             memory += (self._search.memory, self._memory, self._plan)
         return step._replace(calls=calls, logged=logged, memory=memory)
 
@@ -258,6 +262,7 @@ def plan_function(form: Any, period: float, count: int, parts: int, *about: Any)
     results = prediction_numbers("late", weights, parts, to_now, acts.dead_time, acts.lag)
     now = weights(ca.vertcat(0, 0, dead_time, lag))
     mean = weights(ca.vertcat(-period, 0, dead_time, lag))
-    results |= {"late": acts.newer, "newer": acts.newer > 0, "delivered": ca.horzcat(now, mean), "rows": rows}
-    dense = {name: ca.densify(value) for name, value in (results | rest).items()}
+    results |= {"late": acts.newer, "newer": acts.newer > 0}
+    results |= {"delivered": ca.horzcat(now, mean), "rows": rows, **rest}
+    dense = {name: ca.densify(value) for name, value in results.items()}
     return named_function("plan", {"decision": decision} | symbols, dense)

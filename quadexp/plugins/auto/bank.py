@@ -107,8 +107,8 @@ class Bank:
         theta: np.ndarray,
         control_period: float,
         backend: str,
-        noise: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        spans: tuple[float, float] = (0.0, 0.0),
+        noise: tuple[float, float, float],
+        spans: tuple[float, float],
     ) -> None:
         self.vehicle = vehicle
         self.spans = spans
@@ -122,18 +122,20 @@ class Bank:
         attitude_gain = np.full(1, first_order_gain(turn / tilt))
         self._places = {"theta": theta, "stated": self.stated, "attitude_gain": attitude_gain}
         self._function = cached_function(backend, bank_function, vehicle, residual, self.period, self.every)
-        self.memory = Memory("Bank", sizes_of([self._function]) | {"sent": vehicle.n_rotors})
+        sizes = sizes_of([self._function])
+        self.memory = Memory("Bank", sizes | {"sent": vehicle.n_rotors})
         shapes = self.layout.moments
-        self.sums = Sums("BankSums", {name: math.prod(shape) for name, shape in shapes.items()})
-        self.moments = {name: self.sums.of_now[name].reshape(shape) for name, shape in shapes.items()}
+        counts = {name: math.prod(shape) for name, shape in shapes.items()}
+        self.sums = Sums("BankSums", counts)
+        self.moments = {name: values.reshape(shapes[name]) for name, values in self.sums.of_now.items()}
 
     def start(self, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
         """What is remembered in the state x, (13,), where this command, (n,) (N), has been sent for a long time."""
         specific = thrust.sum() / self.vehicle.mass
         readings = self.layout.readings
         filters = np.zeros((4, CHANNELS), x.dtype)
-        filters[0] = [*np.tile(x[RATE][:2], GYROS), specific]
-        filters[1, -1] = specific
+        filters[0, :-1] = np.tile(x[RATE][:2], GYROS)
+        filters[:2, -1] = specific
         velocity = np.zeros((VELOCITIES * AXES, self.layout.columns), x.dtype)
         velocity[:, 0] = np.tile(x[VELOCITY], VELOCITIES)
         return {
@@ -154,10 +156,12 @@ class Bank:
         due = [call(update)]
         fading = math.exp(-self.period / BANK.forgetting)
         for name, moments in self.moments.items():
-            rows = update.results[f"{name}_z"].reshape(len(moments), -1, moments.shape[-1])
+            models, _, columns = moments.shape
+            rows = update.results[f"{name}_z"].reshape(models, -1, columns)
             due.append(Call("gather", moments, rows, factor=fading))
         due.append(copy(sent, np.zeros(self.vehicle.n_rotors)))
-        return [*(o._replace(every=self.every) for o in due), Call("add", sent, sent, command)]
+        calls = [operation._replace(every=self.every) for operation in due]
+        return [*calls, Call("add", sent, sent, command)]
 
 
 @cache
@@ -185,10 +189,12 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     Inputs: memory, see Layout, and `sent` (n,), the commands since the last period, added (N); x (13,), given; f (3,),
     reading, and whether it was `read`; stated noise (m/s^2); attitude_gain, of its filter; theta.
     """
-    layout, n = Layout(period), vehicle.n_rotors
+    layout = Layout(period)
     readings, columns = layout.readings, layout.columns
-    shapes = {NOW + name: size for name, size in layout.sizes.items()} | {f"{NOW}sent": n}
-    shapes |= {"x": N_STATE, "f": 3, "read": 1, "stated": 1, "attitude_gain": 1, "theta": residual.function.size1_in(1)}
+    shapes = {NOW + name: size for name, size in layout.sizes.items()}
+    shapes[f"{NOW}sent"] = vehicle.n_rotors
+    shapes |= {"x": N_STATE, "f": 3, "read": 1, "stated": 1, "attitude_gain": 1}
+    shapes["theta"] = residual.function.size1_in(1)
     a = named_symbols(ca.MX, shapes)
     kept = {name: a[NOW + name] for name in layout.sizes}
     x, read, stated = a["x"], a["read"], a["stated"]
@@ -197,9 +203,11 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     counts = count > BANK.settling / period
     time = count * period
     f = ca.if_else(read, a["f"], kept["forces"][:3])
-    w, R = x[RATE], rotation_matrix(x[ATTITUDE])
+    w = x[RATE]
+    R = rotation_matrix(x[ATTITUDE])
     sent = a[f"{NOW}sent"] / every
-    air = ca.densify(residual.function(body_features(x, sent), a["theta"])[0])
+    air, *_ = residual.function(body_features(x, sent), a["theta"])
+    air = ca.densify(air)
 
     # gyroscope and thrust, a filter a row: y by the readings, phi by the newest command
     inertia = ca.DM(vehicle.inertia_matrix)
@@ -211,10 +219,12 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     gains = [stationary_gain(*model, period) for model in BANK.gyro_models for _ in range(2)]
     gain = ca.DM([*gains, (thrust_gain, 0.0)])
     of_rates = ca.horzcat(w[:2], ca.DM.zeros(2))
-    of_thrust = ca.horzcat(f[2] - air[2], ca.sum1(sent) / vehicle.mass)
+    specific = ca.sum1(sent) / vehicle.mass
+    of_thrust = ca.horzcat(f[2] - air[2], specific)
     reading = ca.vertcat(ca.repmat(of_rates, GYROS, 1), of_thrust)
     of_torques = ca.horzcat(turning, -spin)
-    drive = ca.vertcat(ca.repmat(of_torques, GYROS, 1), ca.DM.zeros(1, 2))
+    drive = ca.repmat(of_torques, GYROS, 1)
+    drive = ca.vertcat(drive, ca.DM.zeros(1, 2))
     value, bias = ca.horzsplit(ca.reshape(kept["filters"], CHANNELS, 4), 2)
     predicted = value + period * (bias + drive)
     updates = ca.vertcat(ca.DM.ones(2 * GYROS), read)
@@ -222,21 +232,24 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     value = predicted + ca.repmat(gain[:, 0], 1, 2) * innovation
     bias = bias + ca.repmat(gain[:, 1], 1, 2) * innovation
     before = ca.reshape(kept["regressors"], layout.commands + 3, CHANNELS)
-    regressors = ca.vertcat(innovation[:, 0].T, before[0, :], innovation[:, 1].T, before[2:-1, :])
+    y, phi = innovation[:, 0].T, innovation[:, 1].T
+    regressors = ca.vertcat(y, before[0, :], phi, before[2:-1, :])
 
     # velocity: an axis of a noise model a column; what was missing lies on the line between its neighbours
     held = ca.reshape(kept["forces"], 3, readings)
     back = ca.DM(range(1, readings)).T
     share = back / (kept["missed"] + 1)
     between = f @ (1 - share) + held[:, 0] @ share
-    earlier = ca.if_else(ca.repmat(share < 1, 3, 1), between, held[:, :-1])
+    is_missing = ca.repmat(share < 1, 3, 1)
+    earlier = ca.if_else(is_missing, between, held[:, :-1])
     forces = ca.horzcat(f, earlier)  # the newest first
     q = x[ATTITUDE] + last[ATTITUDE] * ca.sign(ca.dot(x[ATTITUDE], last[ATTITUDE]))
     turned = period * rotation_matrix(q / ca.norm_2(q))
     gravity = period * vehicle.gravity * ca.DM([[0.0, 0.0, 1.0]])
     drive = ca.vertcat(gravity, (turned @ forces).T, turned.T)
     reading = ca.vertcat(x[VELOCITY].T, ca.DM.zeros(columns - 1, 3))
-    predicted = ca.reshape(kept["velocity"], columns, -1) - ca.repmat(drive, 1, VELOCITIES)
+    before = ca.reshape(kept["velocity"], columns, -1)
+    predicted = before - ca.repmat(drive, 1, VELOCITIES)
     innovation = ca.repmat(reading, 1, VELOCITIES) - predicted
     weights = [(period / noise) ** 2 for noise in BANK.velocity_models for _ in range(AXES)]
     ratio = kept["lateral"] * ca.DM(weights).T
@@ -247,7 +260,8 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     velocity_z = ca.vertcat(across, ca.reshape(kept["velocity_before"], columns, -1))
 
     # attitude: the same in body axes, of the rotation in a period
-    rates = ca.horzcat(w, ca.reshape(kept["rates"], 3, readings)[:, :-1])
+    held = ca.reshape(kept["rates"], 3, readings)
+    rates = ca.horzcat(w, held[:, :-1])
     back = ca.vertcat(last[ATTITUDE][0], -last[ATTITUDE][1:])
     relative = product(back, x[ATTITUDE] * ca.sign(ca.dot(x[ATTITUDE], last[ATTITUDE])))
     rotated = 2 * relative[1:] * (1 + ca.sumsqr(relative[1:]) / 6)  # the arc of a sine, to third order
@@ -257,13 +271,17 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     attitude = attitude + (1 - a["attitude_gain"]) * (before @ rotation_matrix(relative))
 
     # white noise: minus the covariance of successive changes (local level model, Harvey 1989)
-    moved = x[POSITION] - last[POSITION] - period * (x[VELOCITY] + last[VELOCITY]) / 2
+    expected = period * (x[VELOCITY] + last[VELOCITY]) / 2
+    moved = x[POSITION] - last[POSITION] - expected
     drift = ca.vertcat(moved, rotated - period * middle)
     change = f[:2] - air[:2] - kept["reading"]
     products = -drift * kept["drift"]
     of_force = -ca.dot(change, kept["change"]) / 2
-    measured = ca.vertcat(of_force, ca.sum1(products[:3]) / 3, ca.sum1(products[3:]) / 3)
-    share = ca.fmax(1 / (count + 5), period / BANK.noise_memory) * (count > 2) * ca.vertcat(read, 1, 1)
+    of_position = ca.sum1(products[:3]) / 3
+    of_attitude = ca.sum1(products[3:]) / 3
+    measured = ca.vertcat(of_force, of_position, of_attitude)
+    share = ca.fmax(1 / (count + 5), period / BANK.noise_memory)
+    share = share * (count > 2) * ca.vertcat(read, 1, 1)
     noise = kept["noise"] + share * (measured - kept["noise"])
     least = (stated * BANK.sheet_factor**-1) ** 2
     most = (stated * BANK.sheet_factor) ** 2
@@ -295,4 +313,5 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
         "attitude_z": flown * ca.vec(ca.vertcat(attitude, before)),
     }
     results |= {NEXT + name: value for name, value in now.items()}
-    return named_function("bank", a, {name: ca.densify(value) for name, value in results.items()})
+    dense = {name: ca.densify(value) for name, value in results.items()}
+    return named_function("bank", a, dense)

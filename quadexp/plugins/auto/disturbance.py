@@ -77,7 +77,8 @@ class DisturbanceFilter:
         air = (residual.unscaled or residual).form(backend == "compiled")
         self._function = cached_function(backend, disturbance_function, vehicle, air, period, known)
         self.memory = Memory("Disturbance", sizes_of([self._function]))
-        self._places = told | {"theta": theta.reshape(-1)[: self._function.numel_in("theta")]}
+        numbers = self._function.numel_in("theta")
+        self._places = told | {"theta": theta.reshape(-1)[:numbers]}
         self._initial = np.square(known.initial)
         self.belief = np.zeros(N_BELIEF)
         self.deviations = np.zeros(len(DEVIATIONS))
@@ -90,8 +91,8 @@ class DisturbanceFilter:
 
     def start(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """What is remembered as a flight begins in the state x, (13,)."""
-        covariance = np.diag(self._initial).ravel()
-        return {"covariance": np.tile(covariance, WALKS), "rates": np.tile(x[RATE], TORQUES)}
+        covariance = np.tile(np.diag(self._initial).ravel(), WALKS)
+        return {"covariance": covariance, "rates": np.tile(x[RATE], TORQUES)}
 
     def before(self, known: dict[str, np.ndarray], read: np.ndarray) -> list[Call]:
         """Leaves belief and deviations. known: arrays with the state x (13,), the reading (3,), thrust and mean,
@@ -106,12 +107,15 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     across the thrust, of position and attitude. Memory: SIZES, and whether anything has been read."""
     n, s = vehicle.n_rotors, DISTURBANCE
     sizes = SIZES | {OF_ROTORS: n}
-    shapes = {NOW + name: size for name, size in sizes.items()} | {f"{NOW}flown": 1}
+    shapes = {NOW + name: size for name, size in sizes.items()}
+    shapes[f"{NOW}flown"] = 1
     shapes |= {"x": N_STATE, "reading": 3, "read": 1, "thrust": n, "mean": n}
-    shapes |= {"lateral": 1, "noise": 3, "timing": 1, "apart": 1, "late": 1, "delays": 3, "theta": air.size1_in(1)}
+    shapes |= {"lateral": 1, "noise": 3, "timing": 1, "apart": 1, "late": 1, "delays": 3}
+    shapes["theta"] = air.size1_in(1)
     a = named_symbols(ca.MX, shapes)
     kept = {name: a[NOW + name] for name in sizes}
-    x, read, thrust, timing = a["x"], a["read"], a["thrust"], a["timing"]
+    x, read = a["x"], a["read"]
+    thrust, timing = a["thrust"], a["timing"]
     R, rate = rotation_matrix(x[ATTITUDE]), x[RATE]
     specific = ca.sum1(thrust) / vehicle.mass
     fading = math.exp(-period / s.noise_memory)
@@ -129,7 +133,8 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     # no force is followed faster than most_force_bandwidth, which is q / (r sqrt(T)) of a random walk
     fastest = SPEEDS.most_force_bandwidth if known.by_speeds else s.most_force_bandwidth
     least = (max(known.random_walk[FORCE]) / fastest) ** 2 / period
-    variance = ca.fmax(ca.vertcat(across, across, across + along), least * ca.DM([not known.has_drag] * 2 + [1]))
+    followed = ca.DM([not known.has_drag, not known.has_drag, 1])
+    variance = ca.fmax(ca.vertcat(across, across, across + along), least * followed)
     N = ca.diag(variance)
     doubted = s.sheet_factor**2 * across
     doubt = ca.diag(ca.vertcat(doubted, doubted, doubted + along))
@@ -140,7 +145,8 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
         """Reading, its Jacobian by the estimate, and torque of the air."""
         scale = 1 + estimate[SCALE]
         air_scale = 1 + estimate[AIR]
-        features = ca.vertcat(R.T @ (x[VELOCITY] - estimate[WIND]), rate, scale * thrust)
+        through_air = R.T @ (x[VELOCITY] - estimate[WIND])
+        features = ca.vertcat(through_air, rate, scale * thrust)
         y, by_features = air(features, a["theta"])
         y = ca.densify(y)
         by_features = ca.densify(by_features)
@@ -183,10 +189,12 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
         reduction = ca.DM.eye(N_ESTIMATE) - K @ H
         P = reduction @ P @ reduction.T + K @ N @ K.T  # Joseph's form
         # where nothing tells the wind, its variance does not grow beyond the first one
-        shrink = ca.sqrt(ca.fmin(1, first_wind / ca.fmax(ca.trace(P[WIND, WIND]), TINY)))
+        of_wind = ca.fmax(ca.trace(P[WIND, WIND]), TINY)
+        shrink = ca.sqrt(ca.fmin(1, first_wind / of_wind))
         by = ca.diag(ca.vertcat(shrink, shrink, shrink, ca.DM.ones(N_ESTIMATE - 3)))
         covariances.append(by @ P @ by)
-        force = estimate[FORCE] * ca.fmin(1, most_force / ca.fmax(ca.norm_2(estimate[FORCE]), TINY))
+        size = ca.fmax(ca.norm_2(estimate[FORCE]), TINY)
+        force = estimate[FORCE] * ca.fmin(1, most_force / size)
         scale = limited(estimate[SCALE], *s.scale_limits)
         air_scale = limited(estimate[AIR], *SPEEDS.air_limits)
         estimates.append(ca.vertcat(estimate[WIND], scale, force, air_scale))
@@ -199,19 +207,22 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     if known.by_speeds:  # they are of the end of a period, in which rotors that lag were slower to begin with
         begun = ca.if_else(ca.sum1(kept[OF_ROTORS]) > 0, kept[OF_ROTORS], thrust)
         mean = mean + mean_share(period, a["delays"][2]) * (begun - thrust)
-    torque_known = ca.DM(vehicle.allocation[1:]) @ mean + air_torque - ca.cross(rate, inertia @ rate)
-    acting = ca.inv(inertia) @ torque_known
+    of_rotors = ca.DM(vehicle.allocation[1:]) @ mean
+    gyroscopic = ca.cross(rate, inertia @ rate)
+    acting = ca.inv(inertia) @ (of_rotors + air_torque - gyroscopic)
     # both poles of each filter are at z; without a torque the rate alone
     poles = np.exp(-np.array(s.torque_bandwidths) * period)
     gains = [(1 - poles[0] ** 2, 0.0)]
     gains += [(1 - z * z, (1 - z) ** 2 / period) for z in poles]
+    doubted_rate = s.sheet_factor * s.rate_noise
     rates, torques, spins = [], [], []
     for i, (of_rate, of_torque) in enumerate(gains):
         torque = kept["torque"][3 * i : 3 * i + 3]
-        predicted = kept["rates"][3 * i : 3 * i + 3] + period * (acting + torque)
+        before = kept["rates"][3 * i : 3 * i + 3]
+        predicted = before + period * (acting + torque)
         rates.append(predicted + of_rate * (rate - predicted))
         torques.append(torque + of_torque * (rate - predicted))
-        spins.append(-ca.sumsqr((rate - predicted)[:2] / (s.sheet_factor * s.rate_noise)) / 2)
+        spins.append(-ca.sumsqr((rate - predicted)[:2] / doubted_rate) / 2)
     torque_evidence = _summed(kept["torque_evidence"], fading, spins)
     # a compensation that is behind by more than its time constant is no longer below the attitude loop
     behind = period + ca.sum1(a["delays"])
@@ -225,7 +236,8 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     level = _likeliest(-squares[::2], models)
     lift = _likeliest(evidence[1::2], models)
     torque = _likeliest(torque_evidence, torques[1:])
-    odds = ca.vertcat(ca.mmax(evidence[::2]), ca.mmax(evidence[1::2]), ca.mmax(torque_evidence))
+    of_level, of_lift = ca.mmax(evidence[::2]), ca.mmax(evidence[1::2])
+    odds = ca.vertcat(of_level, of_lift, ca.mmax(torque_evidence))
     needed = s.evidence_on * (1 - kept["acts"])
     if known.by_speeds:  # prompt, also where rates are of a time that is not known yet
         acts = (odds > needed) * ca.vertcat(1, 1, a["late"] < s.torque_timed)
@@ -253,16 +265,20 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     scale_doubt = ca.hypot(scale_doubt, lifting / ca.fmax(specific, vehicle.gravity))
     scale_doubt = ca.if_else(acts[1], scale_doubt, np.nan)
     by_drag = rest[SCALE] * ca.norm_2(x[VELOCITY] - wind[WIND])
-    off = ca.hypot(known.wind_offset, by_drag) + (1 - acts[1]) * ca.DM([0, 0, known.wind_untimed])
+    of_untimed = ca.DM([0, 0, known.wind_untimed])
+    off = ca.hypot(known.wind_offset, by_drag) + (1 - acts[1]) * of_untimed
     shown = 0 if known.has_drag else ca.fmax(acts[0], acts[1])
     noises = ca.sqrt(ca.vertcat(across, across, across + along) / variance)  # what limits the bandwidth is no noise
     winds, forces = [np.nan] * 3, []
     for i in range(3):
         if known.has_drag:
-            winds[i] = ca.if_else(acts[0], ca.hypot(spread(level, i), off[i]), np.nan)
-        doubt_of_force = ca.hypot(spread(rest, FORCE.start + i) * noises[i], known.force_offset)
-        forces.append(ca.if_else(shown, vehicle.mass * doubt_of_force, np.nan))
-    lag = ca.sqrt(variance[0] * period) / max(known.random_walk[FORCE][0], TINY)
+            wind_doubt = ca.hypot(spread(level, i), off[i])
+            winds[i] = ca.if_else(acts[0], wind_doubt, np.nan)
+        force_spread = spread(rest, FORCE.start + i) * noises[i]
+        force_doubt = ca.hypot(force_spread, known.force_offset)
+        forces.append(ca.if_else(shown, vehicle.mass * force_doubt, np.nan))
+    force_walk = max(known.random_walk[FORCE][0], TINY)
+    lag = ca.sqrt(variance[0] * period) / force_walk
     lag = ca.if_else(shown, lag, np.nan)
     deviations = ca.vertcat(*winds, *forces, lag, scale_doubt)
 
@@ -308,7 +324,8 @@ def _likelihoods(innovation: ca.MX, S: ca.MX) -> ca.MX:
     c, d = ca.horzsplit(S[1, :2])
     x, y, z = ca.vertsplit(innovation)
     determinant = a * d - b * c
-    across = (d * x**2 - (b + c) * x * y + a * y**2) / determinant + ca.log(determinant)
+    square = d * x**2 - (b + c) * x * y + a * y**2
+    across = square / determinant + ca.log(determinant)
     along = z**2 / S[2, 2] + ca.log(S[2, 2])
     return -ca.vertcat(across, along) / 2
 

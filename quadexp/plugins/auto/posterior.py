@@ -36,7 +36,8 @@ from quadexp.plugins.remedies.sent_commands import INSTANT, NO_LAG
 SOURCE = Path(__file__).with_name("posterior.c")
 LATE, PROMPT, BETWEEN = range(3)
 STEPS = np.array([BANK.age_step, BANK.total_step, BANK.lag_step, BANK.age_step])  # of a, D, l, r (s)
-LARGEST = np.array([BANK.largest_age, BANK.largest_dead_time + BANK.largest_lag, BANK.largest_lag, BANK.largest_age])
+LARGEST_TOTAL = BANK.largest_dead_time + BANK.largest_lag  # s
+LARGEST = np.array([BANK.largest_age, LARGEST_TOTAL, BANK.largest_lag, BANK.largest_age])
 # Of age, total and lag (s): mean, deviation, 2.5 and 97.5 % quantiles; by how much rates are newer (s)
 FOUND = {"mean": 3, "deviation": 3, "lower": 3, "upper": 3, "newer": 1}
 # What a grid leaves: the mode (a, D, l, r); the likeliest noise models of gyroscope and velocity; log Bayes factors
@@ -69,7 +70,9 @@ class Search:
 
     def calls(self) -> list[Call]:
         """What is to be done at an instant."""
-        return [call(self.coarse, self._flags["searches"]), call(self.fine, self._flags["rounds"])]
+        coarse = call(self.coarse, self._flags["searches"])
+        fine = call(self.fine, self._flags["rounds"])
+        return [coarse, fine]
 
     def moved(self) -> Call:
         """The finer grid goes on from its own mode."""
@@ -118,9 +121,10 @@ class Posterior(BufferedFunction):
         between_readings = (rates == BETWEEN) & (by < BANK.age_step - INSTANT)
         impossible = (by > age + INSTANT) | between_readings
         rates_old = np.maximum(age - by, 0)
-        first, last = rates_old.min() + totals[0], rates_old.max() + totals[-1]
+        first = rates_old.min() + totals[0]
+        last = rates_old.max() + totals[-1]
         times = points(first, last, steps[0])
-        at_time = np.rint((rates_old + total - times[0]) / steps[0]).astype(int)
+        at_time = np.rint((rates_old + total - first) / steps[0]).astype(int)
 
         _, of_thrust = self._by_commands("thrust", totals, lags)
         gyro_model, of_gyro = self._by_commands("gyro", times, lags)
@@ -134,9 +138,11 @@ class Posterior(BufferedFunction):
         log = np.where(impossible, -NEVER, likelihood + of_newer.reshape(by.shape) + prior)
 
         best = log.max()
+        ageless, prompt = log[:, 0].max(), log[..., 0].max()
         at_newer, at_age, at_lag, at_total = np.unravel_index(log.argmax(), log.shape)
         mode = np.array([ages[at_age], totals[at_total], lags[at_lag], newer[at_newer]])
         moved = np.abs(mode - centre) >= STEPS - INSTANT
+        is_prompt = rates_of(mode[0], mode[3]) == PROMPT
         share = np.exp(log - best)
         off_age, off_total, off_lag = STEPS[[0, 2, 2]] / self.fine  # a total goes along with a lag between points
         summaries = [
@@ -148,14 +154,14 @@ class Posterior(BufferedFunction):
         return {
             "mode": mode,
             "chosen": [gyro_model, velocity_model],
-            "odds": [best - log[:, 0].max(), best - log[..., 0].max()],
+            "odds": [best - ageless, best - prompt],
             "at_end": mode[:3] > LARGEST[:3] - INSTANT,
             "moved": self.fine > 1 and moved.any(),
             "mean": mean,
             "deviation": deviation,
             "lower": lower,
             "upper": upper,
-            "newer": mean[0] if rates_of(mode[0], mode[3]) == PROMPT else mode[3],
+            "newer": mean[0] if is_prompt else mode[3],
         }
 
     def _models(self, name: str, chosen: int) -> dict[int, np.ndarray]:
@@ -181,15 +187,17 @@ class Posterior(BufferedFunction):
         lag, total = np.meshgrid(lags, totals, indexing="ij")
         dead_time = total - lag
         possible = (dead_time > -INSTANT) & (dead_time < longest + INSTANT)
-        h = command_weights(bank.period, bank.layout.commands, total[possible] + late, lag[possible], span)
+        delays = total[possible] + late, lag[possible]
+        h = command_weights(bank.period, bank.layout.commands, *delays, span)
         found = {}
         for model, M in self._models(name, 0).items():
+            of_y = M[0, 0]
             cross = h @ M[0, 2:-1]
             square = np.sum(h @ M[2:-1, 2:-1] * h, axis=1)
-            least = np.min(M[0, 0] - 2 * cross + square)
+            least = np.min(of_y - 2 * cross + square)
             ridge = max(least, 0) / n / prior**2 + BANK.floor
             scale = (cross + ridge) / (square + ridge)
-            sse = np.maximum(M[0, 0] - 2 * scale * cross + scale**2 * square, 0)
+            sse = np.maximum(of_y - 2 * scale * cross + scale**2 * square, 0)
             best = sse.argmin()
             weights = scale[best] * h[best]
             now = np.r_[1, 0, -weights, 0]
@@ -230,7 +238,8 @@ class Posterior(BufferedFunction):
             noise = noises[model]
             kept = 1 - first_order_gain(reading / noise)
             correlated = of_readings @ kept**apart
-            of_reading = reading**2 * np.sum(correlated * of_readings, axis=1) / (1 - kept**2)
+            white = np.sum(correlated * of_readings, axis=1)
+            of_reading = reading**2 * white / (1 - kept**2)
             added = of_reading + 2 * noise**2 / (1 + kept)
             sse = sse * added[0] / added
             best = sse.argmin()
@@ -248,13 +257,16 @@ class Kernel(Posterior):
         library = ctypes.PyDLL(str(linked_library("posterior", (self.source, ()))))
         self._code = getattr(library, self.function.name())
         self._code.argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_int]
-        arguments = np.array([array.ctypes.data for array in self.arguments.values()], np.uintp)
-        results = np.array([array.ctypes.data for array in self.results.values()], np.uintp)
-        self.for_c = CFunction(self._code, arguments, results, np.zeros(1, np.int64), np.zeros(1))
+        work = np.zeros(1, np.int64), np.zeros(1)
+        self.for_c = CFunction(self._code, _addresses(self.arguments), _addresses(self.results), *work)
         self._addresses = [array.ctypes.data for array in self.for_c.arrays]
 
     def __call__(self) -> None:
         self._code(*self._addresses, 0)
+
+
+def _addresses(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    return np.array([array.ctypes.data for array in arrays.values()], np.uintp)
 
 
 def kernel_source(bank: Bank) -> str:
@@ -305,7 +317,8 @@ def _likeliest(found: dict[int, np.ndarray]) -> tuple[int, np.ndarray]:
 def _log_likelihood(sse: np.ndarray, n: float, product: float, square: float) -> np.ndarray:
     """Of n innovations; what one is worth by the correlation of successive ones."""
     rho = product / max(square, BANK.floor**2)
-    kappa = np.clip((1 - rho) / (1 + rho), BANK.least_information, BANK.most_information)
+    kappa = (1 - rho) / (1 + rho)
+    kappa = np.clip(kappa, BANK.least_information, BANK.most_information)
     return -kappa * n / 2 * np.log(sse / n + BANK.floor)
 
 

@@ -22,7 +22,7 @@ PERIOD = 0.02
 
 def bank_of(vehicle, **about):
     model = no_residual(vehicle)
-    about = {"noise": (0.05, 0.0, 0.0)} | about
+    about = {"noise": (0.05, 0.0, 0.0), "spans": (0.0, 0.0)} | about
     return Bank(vehicle, model, np.zeros(model.function.size1_in(1)), PERIOD, "interpreted", **about)
 
 
