@@ -221,13 +221,13 @@ class Auto(WrappedController):
         beliefs = self._memory.of_now["beliefs"]
         logged = (*step.logged, belief, beliefs, self._filter.acts, self._filter.deviations)
         memory = (*step.memory, self._strapdown.memory, self._filter.memory, self._commands.memory)
-        memory += (self._bank.memory, self._bank.sums, self._believed)
+        memory = (*memory, self._bank.memory, self._bank.sums, self._believed)
         if not self._judged:
             decided = self._search.calls()
             decided += [call(self._decide), self._search.moved()]
             decided += self._retuned(self._decide.results["retunes"])
             calls += [operation._replace(decides=True) for operation in decided]
-            memory += (self._search.memory, self._memory, self._plan)
+            memory = (*memory, self._search.memory, self._memory, self._plan)
         return step._replace(calls=calls, logged=logged, memory=memory)
 
     @property
@@ -248,7 +248,7 @@ class Auto(WrappedController):
         """See Controller.log."""
         believed = named(BELIEVED, self._filter.belief.tolist())
         own = np.hstack([self._memory.of_now["beliefs"], self._filter.acts, self._filter.deviations])
-        return self.wrapped.log() | believed | named(COLUMNS, own.tolist())
+        return {**self.wrapped.log(), **believed, **named(COLUMNS, own.tolist())}
 
 
 def plan_function(form: Any, period: float, count: int, parts: int, *about: Any) -> ca.Function:

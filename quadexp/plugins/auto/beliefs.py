@@ -80,8 +80,8 @@ def beliefs(flight: Flight) -> list[Belief]:
             value = np.where(is_known, value, np.nan)
             truth = true.get(column, np.full(len(flight), np.nan))
             factor = MS if unit == "ms" else 1.0
-            series = [factor * of for of in (value, low, high, truth)]
-            quantities.append(Belief(name, unit, *series, limit))
+            value, low, high, truth = (factor * series for series in (value, low, high, truth))
+            quantities.append(Belief(name, unit, value, low, high, truth, limit))
     return quantities
 
 
@@ -122,7 +122,7 @@ def truths(flight: Flight) -> dict[str, np.ndarray]:
     actuator = flight.metadata["config"].get("actuator", {})
     up, down = (actuator.get(f"time_constant_{way}", 0.0) for way in ("up", "down"))
     lag = timing["lag"] - max(up, down) + lag_of(up, down)  # the slower way is stated
-    true = {
+    true: dict[str, np.ndarray] = {
         "auto_age": np.full(size, _age(flight, timing["age"])),
         "auto_delay": np.full(size, dead_time + lag),
         "observer_thrust_scale": _thrust_scale(flight, dead_time, lag),

@@ -145,7 +145,8 @@ def known(age: float, dead_time: float, lag: float, period: float) -> Decision:
     found = tuple(map(min, delays, LARGEST_DELAYS))
     if found != delays or sum(delays) + period >= DECISION.soft_sum:
         grid = 0
-    return Decision(*found, newer=0.0, grid=grid, timing=0.0)
+    age, dead_time, lag = found
+    return Decision(age, dead_time, lag, 0.0, grid, 0.0)
 
 
 def start_of(begin: Decision) -> dict[str, Any]:

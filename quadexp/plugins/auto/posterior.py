@@ -218,7 +218,8 @@ class Posterior(BufferedFunction):
             noises = BANK.velocity_models
             n, span, prior = 2 * of_velocity, bank.spans[0], BANK.bias_deviation
         else:
-            reading, *noises = bank.turn_noise
+            reading, noise = bank.turn_noise
+            noises = (noise,)
             n, span, prior = AXES * of_attitude, bank.spans[1], BANK.rate_bias_deviation
         columns, known = bank.layout.columns, bank.layout.columns - AXES
         of_readings = reading_weights(bank.period, known - 1, ages - span / 2)
