@@ -208,8 +208,8 @@ class _Parts:
             cut.append(pieces)
         values = {"wind": self._kind.zeros(WIND), "thrust": None, "x_next": None, "command": None} | values
         moments = []
-        for pieces in zip(*cut, strict=True):
-            moments.append(Moment(**values | named(KINDS, pieces)))
+        for its_own in zip(*cut, strict=True):
+            moments.append(Moment(**values | named(KINDS, its_own)))
         return moments
 
     def _function(self, name: str, symbols: list[Any], results: list[Any]) -> ca.Function:
@@ -293,8 +293,8 @@ class _Parts:
         """What `select` makes of `settled`, (k, steps). times: when the steps began."""
         arguments = [states[:, 0], inner_of_effects, known, theta, times[0], step]
         variables = [ca.MX.sym(f"s{i}", argument.numel()) for i, argument in enumerate(arguments)]
-        *seen, began, h = variables
-        after = self.settled(*seen, began + h, h)
+        S, inner, seen, settings, began, h = variables
+        after = self.settled(S, inner, seen, settings, began + h, h)
         settled = ca.Function("settled", variables, [select(*after)])
         steps = states.size2()
         held = [ca.repmat(value, 1, steps) for value in (inner_of_effects, known, theta)]

@@ -20,6 +20,7 @@ from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, call, copy, run
 from quadexp.control.mpc.mpc import ModelPredictiveController
 from quadexp.models.residual import Residual
+from quadexp.physics.expression import named_function, named_symbols
 from quadexp.physics.state import N_STATE
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.auto.settings import BANK, DECISION
@@ -51,8 +52,10 @@ def prediction_numbers(
     begin, end = span
     starts = ca.fmin(begin + STEP * ca.DM(range(parts)), end)
     ends = ca.fmin(starts + STEP, end)
-    spans = ca.horzcat(starts, ends, ca.repmat(ca.horzcat(dead_time, lag), parts, 1)).T
-    return {f"{of}_dt": ends - starts, f"{of}_weights": weights.map(parts)(spans), f"{of}_moves": end > begin}
+    delays = ca.repmat(ca.horzcat(dead_time, lag), parts, 1)
+    spans = ca.horzcat(starts, ends, delays).T
+    of_parts = weights.map(parts)(spans)
+    return {f"{of}_dt": ends - starts, f"{of}_weights": of_parts, f"{of}_moves": end > begin}
 
 
 class Ahead:
@@ -74,8 +77,8 @@ class Ahead:
         self.parts = math.ceil(longest / STEP - 1e-9)
         function = cached_function(backend, prediction, vehicle, residual, self.parts, len(commands.values))
         self._predict = BufferedFunction(function, {"commands": commands.values, **shared})
-        given, self._moves = self._predict.arguments, np.zeros(1)
-        self._x, self._end = given["x"], self._predict.results["now"]
+        self._moves = np.zeros(1)
+        given = self._predict.arguments
         if "scale" not in shared:
             given["scale"][0] = 1.0
         if "theta" not in shared:
@@ -88,28 +91,22 @@ class Ahead:
 
     def before(self, state: np.ndarray) -> tuple[list[Call], np.ndarray]:
         """Predicts from the state that is found there, (13,), and the array that has that of the end then."""
-        return [copy(self._x, state), copy(self._end, state), call(self._predict, self._moves)], self._end
+        end = self._predict.results["now"]
+        calls = [copy(self._predict.arguments["x"], state), copy(end, state), call(self._predict, self._moves)]
+        return calls, end
 
 
-class Delivered:
-    """The thrusts of the rotors over spans, (n,) each (N), by the commands. tuned: weights of the commands in each, the
-    oldest first, (s, m)."""
-
-    def __init__(self, commands: SentCommands, backend: str, spans: int) -> None:
-        function = cached_function(backend, weighted, *commands.values.shape, spans)
-        self._weigh = BufferedFunction(function, {"commands": commands.values})
-        self.tuned = self._weigh.arguments["weights"]
-        self.thrusts = self._weigh.results["thrust"].reshape(spans, -1)
-
-    def before(self) -> list[Call]:
-        """Leaves `thrusts`."""
-        return [call(self._weigh)]
+def delivered_thrusts(commands: SentCommands, backend: str, spans: int) -> BufferedFunction:
+    """The thrusts of the rotors over spans, `thrust`, (s, n) (N), by the commands and their `weights` in each span, the
+    oldest first, (s, m); of one span (n,) and (m,)."""
+    function = cached_function(backend, weighted, *commands.values.shape, spans)
+    return BufferedFunction(function, {"commands": commands.values})
 
 
 def weighted(count: int, rotors: int, spans: int) -> ca.Function:
     """commands (n, m) (N) and weights (m, s) -> thrust (n, s) (N)."""
-    commands, weights = ca.MX.sym("commands", rotors, count), ca.MX.sym("weights", count, spans)
-    return ca.Function("weighted", [commands, weights], [commands @ weights], ["commands", "weights"], ["thrust"])
+    a = named_symbols(ca.MX, {"commands": (rotors, count), "weights": (count, spans)})
+    return named_function("weighted", a, {"thrust": a["commands"] @ a["weights"]})
 
 
 class CommandsAhead:
@@ -119,9 +116,11 @@ class CommandsAhead:
         self.sent = sent_commands(mpc.vehicle, mpc.settings.control_period)
         self.memory = self.sent.memory
         self.memory.owner = "CommandsAhead"  # beside the SentCommands of the controller around
-        shared = {"theta": mpc.parameters} | ({} if mpc.disturbance is None else {"push": mpc.disturbance})
+        shared = {"theta": mpc.parameters}
+        if mpc.disturbance is not None:
+            shared["push"] = mpc.disturbance
         self.ahead = Ahead(mpc.vehicle, mpc.residual, mpc.backend, self.sent, shared, DECISION.largest_wait)
-        self.delivered = Delivered(self.sent, mpc.backend, 1)
+        self.delivered = delivered_thrusts(self.sent, mpc.backend, 1)
         self._full = np.zeros(N_STATE + mpc.vehicle.n_rotors)
 
     def reset(self, thrust: np.ndarray) -> None:
@@ -137,8 +136,9 @@ class CommandsAhead:
     def before(self, state: np.ndarray) -> tuple[list[Call], np.ndarray]:
         """See DeadTimePredictor.before; the thrusts stand behind the state, (13 + n,)."""
         calls, now = self.ahead.before(state)
-        calls += self.delivered.before()
-        calls += [copy(self._full[:N_STATE], now), copy(self._full[N_STATE:], self.delivered.thrusts[0])]
+        calls.append(call(self.delivered))
+        calls.append(copy(self._full[:N_STATE], now))
+        calls.append(copy(self._full[N_STATE:], self.delivered.results["thrust"]))
         return calls, self._full
 
     def after(self, command: np.ndarray) -> list[Call]:

@@ -30,10 +30,10 @@ from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, ControlStep, InputArrays, call, control_step_of, copy
 from quadexp.models.residual import no_residual
 from quadexp.parts.sensor_spec import SensorSpec
-from quadexp.physics.expression import dense_function, named_symbols
+from quadexp.physics.expression import dense_function, limited, named_function, named_symbols
 from quadexp.physics.state import N_STATE, POSITION, VELOCITY
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.auto.ahead import Ahead, prediction_numbers, sent_commands, span_weights
+from quadexp.plugins.auto.ahead import Ahead, prediction_numbers, span_weights
 from quadexp.plugins.auto.auto import Auto
 from quadexp.plugins.auto.decide import Decision
 from quadexp.plugins.auto.settings import BANK, PATH
@@ -48,47 +48,55 @@ class AutoLaw(Auto):
     judged = "with the delays found"
 
     def __init__(self, core: Any, sensor_spec: SensorSpec) -> None:
-        vehicle, backend, air = core.vehicle, core.backend, no_residual(core.vehicle)
-        world = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}  # assumed, for the predictions
-        commands = sent_commands(vehicle, core.control_period)
-        super().__init__(core, sensor_spec, air, world, commands)
-        self._ahead = Ahead(vehicle, air, backend, commands, world, LONGEST)
-        self._world = BufferedFunction(cached_function(backend, world_of, vehicle), into=world)
-        self._later = cached_function(backend, later, vehicle, self.control_period)
-        self._believed, self._jumps = Memory("Believed", worked=world), Memory("Sooner", sizes_of([self._later]))
-        self._times, self._jump_rows = {"ahead": np.zeros(1), "at": np.zeros(1)}, np.zeros(3)
-        spacing = self.control_period / PATH.samples
-        longest = LONGEST + max(PATH.looks + 2 * self.control_period, core.node_times[-1])
+        vehicle, backend = core.vehicle, core.backend
+        air = no_residual(vehicle)
+        super().__init__(core, sensor_spec, air, air.theta)
+        period = self.control_period
+        self._ahead = Ahead(vehicle, air, backend, self._commands, self._world, LONGEST)
+        self._assume = BufferedFunction(cached_function(backend, world_of, vehicle), into=self._world)
+        self._later = cached_function(backend, later, vehicle, period)
+        self._jumps = Memory("Sooner", sizes_of([self._later]))
+        self._times = {"ahead": np.zeros(1), "at": np.zeros(1)}
+        self._jump_rows = np.zeros(3)
+        spacing = period / PATH.samples
+        longest = LONGEST + max(PATH.looks + 2 * period, core.node_times[-1])
         self.node_times = spacing * np.arange(math.ceil(longest / spacing) + 2)
         core.rows = self._rows
-        form = len(commands.values), self._ahead.parts, spacing, tuple(core.node_times.tolist()), self.believes
         tuned = self._ahead.tuned("ahead") | self._times | {"jump_rows": self._jump_rows}
-        self._plans({}, tuned, law_form, *form)
+        nodes = tuple(core.node_times.tolist())
+        count, parts = len(self._commands.values), self._ahead.parts
+        self._plans({}, tuned, law_form, count, parts, spacing, nodes, self.believes)
 
     def _retuned(self, when: np.ndarray | None = None) -> list[Call]:
         """See Auto: what was given the path is of another time."""
-        return [*super()._retuned(when), copy(self._jumps.of_next["goes_on"], np.zeros(1), when)]
+        goes_on = self._jumps.of_next["goes_on"]
+        return [*super()._retuned(when), copy(goes_on, np.zeros(1), when)]
 
     def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
         """See Auto."""
-        return [*super().starts(x, thrust), (self._jumps, {}), (self._believed, {"scale": np.ones(1)})]
+        return [*super().starts(x, thrust), (self._jumps, {})]
 
     def _planned(self, inputs: InputArrays, now: np.ndarray) -> ControlStep:
         """See Auto."""
-        left = {"path_then": np.zeros((DERIVATIVES, 3)), "yaw_then": np.zeros(4)}
-        predicted, then = self._ahead.before(now)
-        states, thrusts = np.zeros((3, N_STATE)), np.zeros((2, self.vehicle.n_rotors))
-        places = {"states": states, "path": inputs.path, "yaw": inputs.yaw, **self._times}
-        calls = [*predicted, Call("window", states, self._jump_rows, thrusts)]
-        calls.append(call(connected(self._later, places, left, self._jumps)))
+        calls, then = self._ahead.before(now)
+        states = np.zeros((3, N_STATE))
+        thrusts = np.zeros((2, self.vehicle.n_rotors))
+        calls.append(Call("window", states, self._jump_rows, thrusts))
         inside = copying.copy(inputs)
-        inside.path, inside.yaw = left["path_then"], left["yaw_then"]  # type: ignore[assignment]  # of these shapes
+        inside.path = np.zeros((DERIVATIVES, 3))
+        inside.yaw = np.zeros(4)
+        places = {"states": states, "path": inputs.path, "yaw": inputs.yaw, **self._times}
+        left = {"path_then": inside.path, "yaw_then": inside.yaw}
+        calls.append(call(connected(self._later, places, left, self._jumps)))
         step = control_step_of(self.wrapped, inside, then)
         if self.believes:
-            world, found, believed = self._world.arguments, self._world.results, self._core.believed_numbers
-            calls += [copy(world["belief"], believed), copy(world["path"], left["path_then"])]
-            calls += [call(self._world), copy(believed[:3], found["force"])]
-        return step._replace(calls=[*calls, *step.calls], memory=(*step.memory, self._jumps, self._believed))
+            belief, path = self._assume.arguments.values()
+            believed = self.wrapped.believed_numbers
+            calls += [copy(belief, believed), copy(path, inside.path)]
+            calls.append(call(self._assume))
+            calls.append(copy(believed[:3], self._assume.results["force"]))
+        calls += step.calls
+        return step._replace(calls=calls, memory=(*step.memory, self._jumps))
 
 
 def law_form(
@@ -97,13 +105,29 @@ def law_form(
     """See plan_function. count: of commands, parts: of the prediction. spacing: of the reference, which is looked at in
     these nodes (s). believes: whether it may be given a force; in the world of the model alone, predicting further
     would mislead it."""
-    dead_time, lag = believes * acts.dead_time, believes * acts.lag
+    dead_time = believes * acts.dead_time
+    lag = believes * acts.lag
     ahead = dead_time + lag
     first = ca.floor(ahead / spacing + 0.5)
     looks = first + round(PATH.looks / spacing)
-    rest = prediction_numbers("ahead", span_weights(count, period), parts, (0, ahead), dead_time, lag)
-    rest |= {"ahead": ahead, "at": looks * spacing, "jump_rows": looks + PATH.samples * ca.DM(range(3))}
-    return {}, (dead_time, lag), first + ca.DM(np.round(np.array(nodes) / spacing)), rest
+    weights = span_weights(count, period)
+    rest = prediction_numbers("ahead", weights, parts, (0, ahead), dead_time, lag)
+    rest["ahead"] = ahead
+    rest["at"] = looks * spacing
+    rest["jump_rows"] = looks + PATH.samples * ca.DM(range(3))
+    rows = first + ca.DM(np.round(np.array(nodes) / spacing))
+    return {}, (dead_time, lag), rows, rest
+
+
+def derivatives_after(rows: list[ca.SX], ahead: Any) -> list[ca.SX]:
+    """A quantity and its derivatives, a time `ahead` (s) later: Taylor's series, to the last derivative."""
+    later_rows = []
+    for i in range(len(rows)):
+        row = ca.SX(0)
+        for j, derivative in enumerate(rows[i:]):
+            row = row + ahead**j / math.factorial(j) * derivative
+        later_rows.append(row)
+    return later_rows
 
 
 def later(vehicle: Vehicle, period: float) -> ca.Function:
@@ -114,49 +138,61 @@ def later(vehicle: Vehicle, period: float) -> ca.Function:
     velocity that they showed (m/s), and in which time it is (s), 0 for none, (4,). before: what path then was in the
     last step, where it `goes_on`, (3, 5). offset: e, e', c, (3, 3), see the module. These four are remembered.
     """
-    shapes = {"path": (3, DERIVATIVES), "yaw": 4, "ahead": 1, "states": (N_STATE, 3), "at": 1}
+    shapes: dict[str, Any] = {"path": (3, DERIVATIVES), "yaw": 4, "ahead": 1, "states": (N_STATE, 3), "at": 1}
     kept = {"coming": 4, "before": 3 * DERIVATIVES, "goes_on": 1, "offset": 9}
-    inputs = named_symbols(ca.SX, shapes | {NOW + name: size for name, size in kept.items()})
+    shapes |= {NOW + name: size for name, size in kept.items()}
+    inputs = named_symbols(ca.SX, shapes)
     path, yaw, ahead, states, at, coming, before, goes_on, offset = inputs.values()
-    before, offset = ca.reshape(before, 3, DERIVATIVES), ca.reshape(offset, 3, 3)
+    before = ca.reshape(before, 3, DERIVATIVES)
+    offset = ca.reshape(offset, 3, 3)
 
-    def then(rows: list[ca.SX], ahead: Any) -> list[ca.SX]:
-        return [
-            sum((ahead**j / math.factorial(j) * row for j, row in enumerate(rows[i:])), ca.SX(0))
-            for i in range(len(rows))
-        ]
-
-    pushed = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
-    most = min(PATH.share * math.sqrt(pushed**2 - vehicle.gravity**2), PATH.steepest * vehicle.gravity)
+    thrust = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
+    level = math.sqrt(thrust**2 - vehicle.gravity**2)
+    most = min(PATH.share * level, PATH.steepest * vehicle.gravity)
     least = 2 * most * period
 
-    p, v = ca.horzsplit(states[POSITION, :]), ca.horzsplit(states[VELOCITY, :])
-    last, jump = v[1] - v[0], v[2] - v[1] - (v[1] - v[0])
-    shows = (ca.norm_2(jump) > least) * (ca.norm_2(v[2] - v[1]) > ca.norm_2(last)) * (coming[3] <= 0)
-    since = ca.dot(p[2] - p[1] - period * v[1], jump) / ca.fmax(ca.sumsqr(jump), PATH.ended)
+    # a jump between two states, beyond what the velocity changes by anyway; where in the period it is, by the positions
+    p = ca.horzsplit(states[POSITION, :])
+    v = ca.horzsplit(states[VELOCITY, :])
+    last = v[1] - v[0]
+    change = v[2] - v[1]
+    jump = change - last
+    is_jump = (ca.norm_2(jump) > least) * (ca.norm_2(change) > ca.norm_2(last))
+    shows = is_jump * (coming[3] <= 0)
+    moved_more = p[2] - p[1] - period * v[1]
+    since = ca.dot(moved_more, jump) / ca.fmax(ca.sumsqr(jump), PATH.ended)
     jump = ca.if_else(shows, jump, coming[:3])
     left = ca.if_else(shows, at + 2 * period - since, coming[3] - period)
-    seen = (left > PATH.ended) * (left - ahead < PATH.early * ca.norm_2(jump) / most)
+    early = PATH.early * ca.norm_2(jump) / most
+    seen = (left > PATH.ended) * (left - ahead < early)
 
-    moved, expected = then(ca.horzsplit(path), ahead), then(ca.horzsplit(before), period)
+    # the path behind the jump, and the offset from it that makes both ends meet
+    moved = derivatives_after(ca.horzsplit(path), ahead)
     moved[0] += seen * (ahead - left) * jump
     moved[1] += seen * jump
+    expected = derivatives_after(ca.horzsplit(before), period)
     jumps = goes_on * (ca.norm_2(moved[1] - expected[1]) > least)
-    e, e_1, c = then(ca.horzsplit(offset), period)
-    e, e_1 = e - jumps * (moved[0] - expected[0]), e_1 - jumps * (moved[1] - expected[1])
+    e, e_1, c = derivatives_after(ca.horzsplit(offset), period)
+    e = e - jumps * (moved[0] - expected[0])
+    e_1 = e_1 - jumps * (moved[1] - expected[1])
 
-    far, fast, _ = then([e, e_1, c], 1 / PATH.turns)
-    wanted = -ca.fmin(PATH.back / 2, ca.sqrt(2 * PATH.brakes * most / ca.fmax(ca.norm_2(far), PATH.ended))) * far
+    # which dies out
+    far, fast, _ = derivatives_after([e, e_1, c], 1 / PATH.turns)
+    distance = ca.fmax(ca.norm_2(far), PATH.ended)
+    back = ca.sqrt(2 * PATH.brakes * most / distance)
+    wanted = -ca.fmin(PATH.back / 2, back) * far
     u = 2 * PATH.back * (wanted - fast)
     u *= most / ca.fmax(ca.norm_2(u), most)
     jerk = PATH.turns * (u - c)
     after = ca.horzcat(e, e_1, c + period * jerk)
     lasts = ca.sumsqr(after) > PATH.ended**2
+    path_then = ca.horzcat(*moved)
+    yaw_then = derivatives_after(ca.vertsplit(yaw[:3]), ahead)
     results = {
-        "path_then": ca.horzcat(*moved) + lasts * ca.horzcat(after, jerk, ca.SX.zeros(3)),
-        "yaw_then": ca.vertcat(*then(ca.vertsplit(yaw[:3]), ahead), yaw[3]),
+        "path_then": path_then + lasts * ca.horzcat(after, jerk, ca.SX.zeros(3)),
+        "yaw_then": ca.vertcat(*yaw_then, yaw[3]),
         f"{NEXT}coming": ca.vertcat(jump, ca.fmax(left, 0)),
-        f"{NEXT}before": ca.vec(ca.horzcat(*moved)),
+        f"{NEXT}before": ca.vec(path_then),
         f"{NEXT}goes_on": 1,
         f"{NEXT}offset": ca.vec(lasts * after),
     }
@@ -174,13 +210,18 @@ def world_of(vehicle: Vehicle) -> ca.Function:
 
     and where the path alone takes more, the share that brings the thrust nearest to that.
     """
-    belief, path = ca.SX.sym("belief", N_BELIEF), ca.SX.sym("path", 3, DERIVATIVES)
-    force, spin = belief[:3], ca.mtimes(ca.inv(ca.DM(vehicle.inertia_matrix)), belief[3:6])
-    taken = vehicle.mass * (path[:, 2] + ca.vertcat(0, 0, vehicle.gravity))
-    most = PATH.turning * vehicle.n_rotors * vehicle.thrust_max * belief[9]
-    along, square = ca.dot(taken, force), ca.fmax(ca.sumsqr(force), PATH.ended**2)
-    share = (along + ca.sqrt(ca.fmax(along**2 + square * (most**2 - ca.sumsqr(taken)), 0))) / square
-    told = ca.fmin(ca.fmax(share, 0), 1) * force
+    belief = ca.SX.sym("belief", N_BELIEF)
+    path = ca.SX.sym("path", 3, DERIVATIVES)
+    force, torque, wind, scale, _ = ca.vertsplit(belief, [0, 3, 6, 9, 10, N_BELIEF])
+    spin = ca.inv(ca.DM(vehicle.inertia_matrix)) @ torque
+    specific = path[:, 2] + ca.vertcat(0, 0, vehicle.gravity)
+    taken = vehicle.mass * specific
+    most = PATH.turning * vehicle.n_rotors * vehicle.thrust_max * scale
+    along = ca.dot(taken, force)
+    square = ca.fmax(ca.sumsqr(force), PATH.ended**2)
+    room = along**2 + square * (most**2 - ca.sumsqr(taken))
+    root = ca.sqrt(ca.fmax(room, 0))
+    share = limited((along + root) / square, 0, 1)
     push = ca.vertcat(force / vehicle.mass, spin)
-    results = {"push": push, "wind": belief[6:9], "scale": belief[9], "force": told}
-    return ca.Function("believed_push", [belief, path], [*results.values()], ["belief", "path"], [*results])
+    results = {"push": push, "wind": wind, "scale": scale, "force": share * force}
+    return named_function("believed_push", {"belief": belief, "path": path}, results)

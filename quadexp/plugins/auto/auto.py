@@ -28,19 +28,20 @@ from quadexp.control.layer import Layer
 from quadexp.control.mpc.controller import PredictiveController
 from quadexp.control.wrapped import WrappedController, air_of, parameters_of, thrust_at_start
 from quadexp.models.residual import Residual
+from quadexp.names import named
 from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.physics.expression import named_function
 from quadexp.physics.state import N_STATE
-from quadexp.plugins.auto.ahead import Ahead, Delivered, prediction_numbers, span_weights
+from quadexp.plugins.auto.ahead import Ahead, delivered_thrusts, prediction_numbers, sent_commands, span_weights
 from quadexp.plugins.auto.bank import Bank
 from quadexp.plugins.auto.decide import KEPT, NOTHING, Decision, decision_function, known, start_of
-from quadexp.plugins.auto.disturbance import DEVIATIONS, DisturbanceFilter, sources, speeds_tell
+from quadexp.plugins.auto.disturbance import DEVIATIONS, DisturbanceFilter
 from quadexp.plugins.auto.posterior import Search
 from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL
+from quadexp.plugins.auto.sources import sources, speeds_tell
 from quadexp.plugins.remedies.delay.strapdown import TunedStrapdown
 from quadexp.plugins.remedies.observers.observer import COLUMNS as BELIEVED
 from quadexp.plugins.remedies.observers.wind import WindObserver, wind_bandwidth
-from quadexp.plugins.remedies.sent_commands import SentCommands
 
 QUANTITIES = "age", "delay", "lag"
 KNOWN = (
@@ -58,73 +59,81 @@ COLUMNS = tuple(f"auto_{name}" for name in (*KNOWN, *ACTS, *DEVIATIONS))
 class Auto(WrappedController):
     """A controller that finds out in flight what makes its model wrong.
 
-    core: the MPC or law that it stands around. residual: of the prediction to now.
-    believed: arrays of the assumed world, for Ahead. commands: those that were sent. A subclass says how it plans
-    (`_plans`), and may compare other thrusts than those that the commands give (`_compared`).
+    core: the MPC or law that it stands around. residual, theta: of the prediction to now, and its parameters. A
+    subclass says how it plans (`_plans`), and may compare other thrusts than those that the commands give
+    (`_compared`).
     """
 
+    wrapped: Any
     delay = 0.0  # of a flight that begins
     judged = ""  # what its margins are of
 
-    def __init__(
-        self,
-        core: Any,
-        sensor_spec: SensorSpec,
-        residual: Residual,
-        believed: dict[str, np.ndarray],
-        commands: SentCommands,
-    ) -> None:
+    def __init__(self, core: Any, sensor_spec: SensorSpec, residual: Residual, theta: np.ndarray) -> None:
         super().__init__(core)
-        self._core, self._sheet, self._commands = core, sensor_spec, commands
         vehicle, backend, period = core.vehicle, core.backend, self.control_period
-        self._to_now = Ahead(vehicle, residual, backend, commands, believed)
-        self._late = np.zeros(1)
-        part, about = TunedStrapdown(time=BANK.largest_age), Circumstances(period)
-        self._strapdown = Layer(core, part, about, places={"late": self._late})
-        force = sensor_spec.accelerometer or Stated()
-        turn = sensor_spec.gyroscope or Stated()
+        self._sensor_spec = sensor_spec
+        self._commands = sent_commands(vehicle, period)
+        self._world = {"push": np.zeros(6), "wind": np.zeros(3), "scale": np.ones(1)}  # assumed in the last step
+        self._believed = Memory("Believed", worked=self._world)
+        self._to_now = Ahead(vehicle, residual, backend, self._commands, self._world | {"theta": theta})
+        self._delivered = delivered_thrusts(self._commands, backend, 2)  # now, and over the last period
+        self._late, self._newer = np.zeros((2, 1))
+        strapdown = TunedStrapdown(time=BANK.largest_age)
+        self._strapdown = Layer(core, strapdown, Circumstances(period), places={"late": self._late})
+        self._rows = np.zeros(len(core.node_times))
+        self._judged, self._begin = False, NOTHING
+        self._tune: BufferedFunction
+        self._plan: Memory
+
+        air, air_theta = air_of(core), parameters_of(core)
+        accelerometer = sensor_spec.accelerometer or Stated()
+        gyroscope = sensor_spec.gyroscope or Stated()
         attitude = sensor_spec.attitude or Stated()
-        air, theta = air_of(core), parameters_of(core)
-        noise, spans = (force.noise, turn.noise, attitude.noise), (force.within(period), turn.within(period))
-        self._bank = Bank(vehicle, air, theta, period, backend, noise, spans)
-        predictive, self.believes = isinstance(core, PredictiveController), hasattr(core, "believed_numbers")
-        self._by_speeds, wind = predictive and speeds_tell(vehicle, sensor_spec), WindObserver()
-        bandwidth = wind_bandwidth(vehicle, air, theta, wind, period) if predictive else 0.0
-        slope = bandwidth * wind.noise[0] * math.sqrt(period) / wind.wind_walk
-        self._has_drag = bandwidth >= DISTURBANCE.least_drag_bandwidth and not self._by_speeds
-        of = sources(vehicle, sensor_spec, slope * self._has_drag, by_speeds=self._by_speeds)
+        noise = accelerometer.noise, gyroscope.noise, attitude.noise
+        spans = accelerometer.within(period), gyroscope.within(period)
+        self._bank = Bank(vehicle, air, air_theta, period, backend, noise, spans)
+
+        self.believes = hasattr(core, "believed_numbers")
+        self._by_speeds, self._has_drag, slope = False, False, 0.0
+        if isinstance(core, PredictiveController):
+            self._by_speeds = speeds_tell(vehicle, sensor_spec)
+            wind = WindObserver()
+            bandwidth = wind_bandwidth(vehicle, air, air_theta, wind, period)
+            self._has_drag = bandwidth >= DISTURBANCE.least_drag_bandwidth and not self._by_speeds
+            slope = bandwidth * wind.noise[0] * math.sqrt(period) / wind.wind_walk
         self._memory = Memory("Auto", KEPT)
-        now, flags = self._memory.of_now, ("searches", "rounds")
-        told = {name: self._bank.part(name) for name in ("lateral", "noise")}
+        now, measured = self._memory.of_now, self._bank.memory.of_now
+        told = {"lateral": measured["lateral"], "noise": measured["noise"]}
         told |= {"timing": now["decision"][-1:], "delays": now["decision"][:3]}
-        told |= {name: now[name] for name in ("apart", "late")}
-        self._filter = DisturbanceFilter(vehicle, air, theta, period, backend, of, told)
-        self._search = Search(self._bank, backend, {name: now[name] for name in flags})
+        told |= {"apart": now["apart"], "late": now["late"]}
+        known = sources(vehicle, sensor_spec, slope * self._has_drag, by_speeds=self._by_speeds)
+        self._filter = DisturbanceFilter(vehicle, air, air_theta, period, backend, known, told)
+
+        self._search = Search(self._bank, backend, {name: now[name] for name in ("searches", "rounds")})
         # By which age and delays cannot be distinguished: by readings that are old, or as old as nobody says, as far as
         # a data sheet may be wrong; and within a period of the bank a faster law answers to noise.
-        apart = BANK.sheet_factor / INTERVAL.band * max(force.delay or 0.0, turn.delay or 0.0)
+        oldest = max(accelerometer.delay or 0.0, gyroscope.delay or 0.0)
+        apart = BANK.sheet_factor / INTERVAL.band * oldest
         apart += self._bank.period - period + max(period - INTERVAL.longest_period, 0.0)
-        unsaid = turn.delay is None and bool(attitude.delay)
-        lately = commands.values[-max(2, round(DECISION.saturation_memory / period)) :].reshape(-1)
+        unsaid = gyroscope.delay is None and bool(attitude.delay)
+        count = max(2, round(DECISION.saturation_memory / period))
+        lately = self._commands.values[-count:].reshape(-1)
         form = vehicle, period, self._bank.period, lately.size, apart
         function = cached_function(backend, decision_function, *form, unsaid=unsaid)
         places = {name: self._bank.memory.of_next[name] for name in ("count", "weights", "noise")}
-        places |= {"commands": lately, "acts": self._filter.acts} | self._search.left | self._search.found
+        places |= {"commands": lately, "acts": self._filter.acts}
+        places |= self._search.left | self._search.found
         self._decide = connected(function, places, {}, self._memory)
-        self._newer, self._judged, self._begin = np.zeros(1), False, NOTHING
-        self._rows = np.zeros(len(core.node_times))
-        self._delivered = Delivered(commands, backend, 2)  # now, and over the last period
-        self._tune: BufferedFunction
-        self._plan: Memory
 
     def _plans(self, places: dict[str, np.ndarray], tuned: dict[str, np.ndarray], form: Any, *about: Any) -> None:
         """How it plans with a decision, see plan_function: what that reads beside the decision, and the arrays that it
         writes."""
-        common = {"late": self._late, "newer": self._newer, "delivered": self._delivered.tuned, "rows": self._rows}
-        tuned = self._to_now.tuned("late") | common | tuned
-        period, count, parts = self.control_period, len(self._commands.values), self._to_now.parts
-        function = cached_function(self.backend, plan_function, form, period, count, parts, *about)
-        self._tune = BufferedFunction(function, places | {"decision": self._memory.of_next["decision"]}, tuned)
+        common = self._to_now.tuned("late") | {"late": self._late, "newer": self._newer}
+        common |= {"delivered": self._delivered.arguments["weights"], "rows": self._rows}
+        count, parts = len(self._commands.values), self._to_now.parts
+        function = cached_function(self.backend, plan_function, form, self.control_period, count, parts, *about)
+        decision = self._memory.of_next["decision"]
+        self._tune = BufferedFunction(function, places | {"decision": decision}, common | tuned)
         self._plan = Memory("Plan", worked=self._tune.results)
 
     def _retuned(self, when: np.ndarray | None = None) -> list[Call]:
@@ -133,9 +142,9 @@ class Auto(WrappedController):
 
     def _compared(self, inputs: InputArrays, now: np.ndarray) -> tuple[list[Call], dict[str, np.ndarray], np.ndarray]:
         """What leaves state, reading, thrust and mean of one time, see DisturbanceFilter, and whether it was read."""
-        thrust, mean = self._delivered.thrusts
+        thrust, mean = self._delivered.results["thrust"]
         known = {"x": now, "reading": inputs.specific_force, "thrust": thrust, "mean": mean}
-        return self._delivered.before(), known, inputs.accelerometer_valid
+        return [call(self._delivered)], known, inputs.accelerometer_valid
 
     def _planned(self, inputs: InputArrays, now: np.ndarray) -> ControlStep:
         """What the controller inside does in the state of now, which is found there, (13,)."""
@@ -145,7 +154,8 @@ class Auto(WrappedController):
         """See Controller.reset: nothing is known."""
         self._anew()
         rows = self._rows.astype(int)
-        inside = window._replace(state=window.state[rows], input=window.input[rows[:-1]])
+        states, thrusts = window.state[rows], window.input[rows[:-1]]
+        inside = window._replace(state=states, input=thrusts)
         super().reset(x, inside)
         for memory, values in self.starts(x, thrust_at_start(inside, self.vehicle)):
             memory.begin(values)
@@ -176,7 +186,8 @@ class Auto(WrappedController):
     def starts(self, x: np.ndarray, thrust: np.ndarray) -> list[tuple[Memory, dict[str, Any]]]:
         """What is remembered as a flight begins, see `reset`, of its own memories and that of its strapdown; x, (13,),
         and thrust, (n,), may be symbols."""
-        strapdown = self._strapdown.part.start(Inputs(self.vehicle, self._strapdown.about, ca.SX), x, thrust)
+        inputs = Inputs(self.vehicle, self._strapdown.about, ca.SX)
+        strapdown = self._strapdown.part.start(inputs, x, thrust)
         sent = np.tile(thrust, len(self._commands.values))
         self._anew()
         plan = {name: values.copy() for name, values in self._plan.of_now.items()}
@@ -187,38 +198,43 @@ class Auto(WrappedController):
             (self._bank.memory, self._bank.start(x, thrust)),
             (self._memory, start_of(self._begin)),
             (self._plan, plan),
+            (self._believed, {"scale": np.ones(1)}),
         ]
 
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step."""
         belief = self._filter.belief
-        propagated, by_readings = self._strapdown.calls("before", inputs, state), self._strapdown.results["state"]
+        calls = self._strapdown.calls("before", inputs, state)
         of_rates = np.zeros(N_STATE)  # the state of the time of the rates, and from there on by the model
-        propagated += [copy(of_rates, state), copy(of_rates, by_readings, self._newer)]
+        calls.append(copy(of_rates, state))
+        calls.append(copy(of_rates, self._strapdown.results["state"], self._newer))
         predicted, now = self._to_now.before(of_rates)
-        calls = [*propagated, *predicted]
+        calls += predicted
         if self.believes and (self._by_speeds or not self._judged):  # a push alone is evidence of a push
             compared, of_one_time, read = self._compared(inputs, now)
             calls += [*compared, *self._filter.before(of_one_time, read)]
-            calls.append(copy(self._core.believed_numbers, belief))
+            calls.append(copy(self.wrapped.believed_numbers, belief))
         step = self._planned(inputs, now)
-        after = [*self._bank.after(inputs, state, step.command), *self._commands.after(step.command)]
+        calls += step.calls
+        calls += self._bank.after(inputs, state, step.command)
+        calls += self._commands.after(step.command)
         beliefs = self._memory.of_now["beliefs"]
         logged = (*step.logged, belief, beliefs, self._filter.acts, self._filter.deviations)
         memory = (*step.memory, self._strapdown.memory, self._filter.memory, self._commands.memory)
-        memory = (*memory, self._bank.memory, self._bank.sums)
+        memory = (*memory, self._bank.memory, self._bank.sums, self._believed)
         if not self._judged:
-            decided = [*self._search.calls(), call(self._decide), self._search.moved()]
+            decided = self._search.calls()
+            decided += [call(self._decide), self._search.moved()]
             decided += self._retuned(self._decide.results["retunes"])
-            after += [o._replace(decides=True) for o in decided]
+            calls += [operation._replace(decides=True) for operation in decided]
             memory = (*memory, self._search.memory, self._memory, self._plan)
-        return step._replace(calls=[*calls, *step.calls, *after], logged=logged, memory=memory)
+        return step._replace(calls=calls, logged=logged, memory=memory)
 
     @property
     def missing_inputs(self) -> list[str]:
         """What it lacks here, and what that leaves undone; a line each."""
         missing = []
-        if not self._sheet.accelerometer:
+        if not self._sensor_spec.accelerometer:
             missing.append("no accelerometer: delays, wind and force are not found")
         if not self._by_speeds:
             missing.append("no speeds of rotors that tell thrusts: these follow from the commands")
@@ -230,19 +246,23 @@ class Auto(WrappedController):
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""
-        believed = dict(zip(BELIEVED, self._filter.belief.tolist(), strict=True))
-        own = [*self._memory.of_now["beliefs"], *self._filter.acts, *self._filter.deviations]
-        return {**self.wrapped.log(), **believed, **dict(zip(COLUMNS, map(float, own), strict=True))}
+        believed = named(BELIEVED, self._filter.belief.tolist())
+        own = np.hstack([self._memory.of_now["beliefs"], self._filter.acts, self._filter.deviations])
+        return {**self.wrapped.log(), **believed, **named(COLUMNS, own.tolist())}
 
 
 def plan_function(form: Any, period: float, count: int, parts: int, *about: Any) -> ca.Function:
     """What is tuned by a decision, (6,), see Auto._plans, and what `form` makes of it and of `about`: further symbols,
     dead time and lag of the thrusts (s), rows of the reference, and the rest by name."""
-    decision, weights = ca.MX.sym("decision", 6), span_weights(count, period)
+    decision = ca.MX.sym("decision", 6)
     acts = Decision(*ca.vertsplit(decision))
+    weights = span_weights(count, period)
     symbols, (dead_time, lag), rows, rest = form(acts, period, *about)
-    late = prediction_numbers("late", weights, parts, (acts.newer - acts.age, 0), acts.dead_time, acts.lag)
-    now = [weights(ca.vertcat(begin, 0, dead_time, lag)) for begin in (0, -period)]
-    common = {"late": acts.newer, "newer": acts.newer > 0, "delivered": ca.horzcat(*now), "rows": rows}
-    results = late | common | rest
-    return named_function("plan", {"decision": decision} | symbols, {k: ca.densify(v) for k, v in results.items()})
+    to_now = acts.newer - acts.age, 0
+    results = prediction_numbers("late", weights, parts, to_now, acts.dead_time, acts.lag)
+    now = weights(ca.vertcat(0, 0, dead_time, lag))
+    mean = weights(ca.vertcat(-period, 0, dead_time, lag))
+    results |= {"late": acts.newer, "newer": acts.newer > 0}
+    results |= {"delivered": ca.horzcat(now, mean), "rows": rows, **rest}
+    dense = {name: ca.densify(value) for name, value in results.items()}
+    return named_function("plan", {"decision": decision} | symbols, dense)

@@ -56,7 +56,7 @@ class Sums(Memory):
 class Layout:
     """What a bank remembers. period: s. commands, readings: how many count. columns: of a reading's filter, y, phi of
     each reading and of each axis of its bias. sizes: of its memory, by name. moments: of each filter, by name: noise
-    models, and rows of a matrix."""
+    models, rows and columns of a matrix."""
 
     def __init__(self, period: float) -> None:
         reach = BANK.largest_age + BANK.largest_dead_time + SETTLED * BANK.largest_lag + period
@@ -83,11 +83,12 @@ class Layout:
             "drift": 6,
             "noise": 3,
         }
+        driven, read = self.commands + 3, 2 * self.columns
         self.moments = {
-            "gyro": (GYROS, self.commands + 3),
-            "thrust": (1, self.commands + 3),
-            "velocity": (VELOCITIES, 2 * self.columns),
-            "attitude": (1, 2 * self.columns),
+            "gyro": (GYROS, driven, driven),
+            "thrust": (1, driven, driven),
+            "velocity": (VELOCITIES, read, read),
+            "attitude": (1, read, read),
         }
 
 
@@ -107,39 +108,41 @@ class Bank:
         theta: np.ndarray,
         control_period: float,
         backend: str,
-        noise: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        spans: tuple[float, float] = (0.0, 0.0),
+        noise: tuple[float, float, float],
+        spans: tuple[float, float],
     ) -> None:
-        self.vehicle, self.spans = vehicle, spans
+        self.vehicle = vehicle
+        self.spans = spans
         self.every = max(1, round(BANK.period / control_period))
         self.period = self.every * control_period
         self.layout = Layout(self.period)
-        self.stated = max(noise[0], BANK.least_reading)
-        self.turn_noise = (BANK.least_turn + noise[1]) * self.period, BANK.least_attitude + noise[2]
-        attitude_gain = first_order_gain(self.turn_noise[0] / self.turn_noise[1])
-        self._places = {"theta": theta, "stated": np.full(1, self.stated), "attitude_gain": np.full(1, attitude_gain)}
+        of_force, of_rate, of_attitude = noise
+        self.stated = np.full(1, max(of_force, BANK.least_reading))
+        self.turn_noise = (BANK.least_turn + of_rate) * self.period, BANK.least_attitude + of_attitude
+        turn, tilt = self.turn_noise
+        attitude_gain = np.full(1, first_order_gain(turn / tilt))
+        self._places = {"theta": theta, "stated": self.stated, "attitude_gain": attitude_gain}
         self._function = cached_function(backend, bank_function, vehicle, residual, self.period, self.every)
-        self.memory = Memory("Bank", sizes_of([self._function]) | {"sent": vehicle.n_rotors})
-        shapes = {name: (models, size, size) for name, (models, size) in self.layout.moments.items()}
-        self.sums = Sums("BankSums", {name: math.prod(shape) for name, shape in shapes.items()})
-        self.moments = {name: self.sums.of_now[name].reshape(shape) for name, shape in shapes.items()}
+        sizes = sizes_of([self._function])
+        self.memory = Memory("Bank", sizes | {"sent": vehicle.n_rotors})
+        shapes = self.layout.moments
+        counts = {name: math.prod(shape) for name, shape in shapes.items()}
+        self.sums = Sums("BankSums", counts)
+        self.moments = {name: values.reshape(shapes[name]) for name, values in self.sums.of_now.items()}
 
-    def part(self, name: str) -> np.ndarray:
-        """What the memory has under a name."""
-        return self.memory.of_now[name]
-
-    def start(self, x: np.ndarray, thrust: np.ndarray) -> dict[str, np.ndarray]:
+    def start(self, x: np.ndarray, thrust: np.ndarray) -> dict[str, Any]:
         """What is remembered in the state x, (13,), where this command, (n,) (N), has been sent for a long time."""
-        specific, readings = thrust.sum() / self.vehicle.mass, self.layout.readings
+        specific = thrust.sum() / self.vehicle.mass
+        readings = self.layout.readings
         filters = np.zeros((4, CHANNELS), x.dtype)
-        filters[0] = [*np.tile(x[RATE][:2], GYROS), specific]
-        filters[1, -1] = specific
+        filters[0, :-1] = np.tile(x[RATE][:2], GYROS)
+        filters[:2, -1] = specific
         velocity = np.zeros((VELOCITIES * AXES, self.layout.columns), x.dtype)
         velocity[:, 0] = np.tile(x[VELOCITY], VELOCITIES)
         return {
             "x": x,
-            "since_gap": np.full(1, readings + 1.0),
-            "lateral": np.full(1, self.stated**2),
+            "since_gap": readings + 1.0,
+            "lateral": self.stated**2,
             "filters": filters,
             "velocity": velocity,
             "forces": np.tile([0.0, 0.0, specific], readings),
@@ -151,20 +154,23 @@ class Bank:
         """Takes in what is given, the state that is found there, (13,), and then the command, (n,) (N)."""
         given = {"x": state, "f": inputs.specific_force, "read": inputs.accelerometer_valid}
         update = connected(self._function, self._places | given, {}, self.memory)
+        sent = self.memory.of_next["sent"]
         due = [call(update)]
         fading = math.exp(-self.period / BANK.forgetting)
         for name, moments in self.moments.items():
-            rows = update.results[f"{name}_z"].reshape(len(moments), -1, moments.shape[-1])
+            models, _, columns = moments.shape
+            rows = update.results[f"{name}_z"].reshape(models, -1, columns)
             due.append(Call("gather", moments, rows, factor=fading))
-        sent = self.memory.of_next["sent"]
         due.append(copy(sent, np.zeros(self.vehicle.n_rotors)))
-        return [*(o._replace(every=self.every) for o in due), Call("add", sent, sent, command)]
+        calls = [operation._replace(every=self.every) for operation in due]
+        return [*calls, Call("add", sent, sent, command)]
 
 
 @cache
 def stationary_gain(noise: float, random_walk: float, period: float) -> tuple[float, float]:
     """Gains on rate and torque of the stationary filter of the gyroscope, see BankSettings.gyro_models."""
-    F, Q = np.array([[1.0, period], [0.0, 1.0]]), np.diag([BANK.rate_walk**2, random_walk**2]) * period
+    F = np.array([[1.0, period], [0.0, 1.0]])
+    Q = np.diag([BANK.rate_walk**2, random_walk**2]) * period
     P = np.eye(2)
     for _ in range(3000):
         P = F @ P @ F.T + Q
@@ -185,81 +191,107 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     Inputs: memory, see Layout, and `sent` (n,), the commands since the last period, added (N); x (13,), given; f (3,),
     reading, and whether it was `read`; stated noise (m/s^2); attitude_gain, of its filter; theta.
     """
-    layout, n = Layout(period), vehicle.n_rotors
+    layout = Layout(period)
     readings, columns = layout.readings, layout.columns
-    shapes = {NOW + name: size for name, size in layout.sizes.items()} | {f"{NOW}sent": n}
-    shapes |= {"x": N_STATE, "f": 3, "read": 1, "stated": 1, "attitude_gain": 1, "theta": residual.function.size1_in(1)}
+    shapes = {NOW + name: size for name, size in layout.sizes.items()}
+    shapes[f"{NOW}sent"] = vehicle.n_rotors
+    shapes |= {"x": N_STATE, "f": 3, "read": 1, "stated": 1, "attitude_gain": 1}
+    shapes["theta"] = residual.function.size1_in(1)
     a = named_symbols(ca.MX, shapes)
     kept = {name: a[NOW + name] for name in layout.sizes}
-    x, last, read, count = a["x"], kept["x"], a["read"], kept["count"] + 1
+    x, read, stated = a["x"], a["read"], a["stated"]
+    last = kept["x"]
+    count = kept["count"] + 1
+    counts = count > BANK.settling / period
+    time = count * period
     f = ca.if_else(read, a["f"], kept["forces"][:3])
-    w, R, sent = x[RATE], rotation_matrix(x[ATTITUDE]), a[f"{NOW}sent"] / every
-    air = ca.densify(residual.function(body_features(x, sent), a["theta"])[0])
-    counts, time = count > BANK.settling / period, count * period
     missed = (1 - read) * (kept["missed"] + 1)
     since_gap = (missed <= BANK.gap) * (kept["since_gap"] + 1)
     shown = counts * read * (since_gap > readings)  # whole readings alone are compared with velocities
+    w = x[RATE]
+    R = rotation_matrix(x[ATTITUDE])
+    sent = a[f"{NOW}sent"] / every
+    air, *_ = residual.function(body_features(x, sent), a["theta"])
+    air = ca.densify(air)
 
     # gyroscope and thrust, a filter a row: y by the readings, phi by the newest command
-    inertia, middle = ca.DM(vehicle.inertia_matrix), (w + last[RATE]) / 2
+    inertia = ca.DM(vehicle.inertia_matrix)
     inverse = ca.inv(inertia)
-    turning = -ca.mtimes(inverse, ca.cross(middle, ca.mtimes(inertia, middle)))[:2]
-    spin = ca.mtimes(ca.mtimes(inverse, ca.DM(vehicle.allocation[1:])), sent)[:2]
+    middle = (w + last[RATE]) / 2
+    turning = -(inverse @ ca.cross(middle, inertia @ middle))[:2]
+    spin = (inverse @ ca.DM(vehicle.allocation[1:]) @ sent)[:2]
     thrust_gain = first_order_gain(BANK.thrust_walk * math.sqrt(period) / BANK.thrust_noise)
     gains = [stationary_gain(*model, period) for model in BANK.gyro_models for _ in range(2)]
     gain = ca.DM([*gains, (thrust_gain, 0.0)])
     of_rates = ca.horzcat(w[:2], ca.DM.zeros(2))
-    of_thrust = ca.horzcat(f[2] - air[2], ca.sum1(sent) / vehicle.mass)
+    specific = ca.sum1(sent) / vehicle.mass
+    of_thrust = ca.horzcat(f[2] - air[2], specific)
     reading = ca.vertcat(ca.repmat(of_rates, GYROS, 1), of_thrust)
-    drive = ca.vertcat(ca.repmat(ca.horzcat(turning, -spin), GYROS, 1), ca.DM.zeros(1, 2))
+    of_torques = ca.horzcat(turning, -spin)
+    drive = ca.repmat(of_torques, GYROS, 1)
+    drive = ca.vertcat(drive, ca.DM.zeros(1, 2))
     value, bias = ca.horzsplit(ca.reshape(kept["filters"], CHANNELS, 4), 2)
     predicted = value + period * (bias + drive)
     updates = ca.vertcat(ca.DM.ones(2 * GYROS), read)
     innovation = ca.repmat(updates, 1, 2) * (reading - predicted)
     value = predicted + ca.repmat(gain[:, 0], 1, 2) * innovation
     bias = bias + ca.repmat(gain[:, 1], 1, 2) * innovation
-    z = ca.reshape(kept["regressors"], layout.commands + 3, CHANNELS)
-    z = ca.vertcat(innovation[:, 0].T, z[0, :], innovation[:, 1].T, z[2:-1, :])
+    before = ca.reshape(kept["regressors"], layout.commands + 3, CHANNELS)
+    y, phi = innovation[:, 0].T, innovation[:, 1].T
+    regressors = ca.vertcat(y, before[0, :], phi, before[2:-1, :])
 
-    # velocity: an axis of a noise model a column
-    held, back = ca.reshape(kept["forces"], 3, readings), ca.DM(range(1, readings)).T
-    share = back / (kept["missed"] + 1)  # what was missing lies on the line between its neighbours
-    between = ca.mtimes(f, 1 - share) + ca.mtimes(held[:, 0], share)
-    forces = ca.horzcat(f, ca.if_else(ca.repmat(share < 1, 3, 1), between, held[:, :-1]))  # the newest first
+    # velocity: an axis of a noise model a column; what was missing lies on the line between its neighbours
+    held = ca.reshape(kept["forces"], 3, readings)
+    back = ca.DM(range(1, readings)).T
+    share = back / (kept["missed"] + 1)
+    between = f @ (1 - share) + held[:, 0] @ share
+    is_missing = ca.repmat(share < 1, 3, 1)
+    earlier = ca.if_else(is_missing, between, held[:, :-1])
+    forces = ca.horzcat(f, earlier)  # the newest first
     q = x[ATTITUDE] + last[ATTITUDE] * ca.sign(ca.dot(x[ATTITUDE], last[ATTITUDE]))
     turned = period * rotation_matrix(q / ca.norm_2(q))
     gravity = period * vehicle.gravity * ca.DM([[0.0, 0.0, 1.0]])
-    drive = ca.vertcat(gravity, ca.mtimes(turned, forces).T, turned.T)
+    drive = ca.vertcat(gravity, (turned @ forces).T, turned.T)
     reading = ca.vertcat(x[VELOCITY].T, ca.DM.zeros(columns - 1, 3))
-    predicted = ca.reshape(kept["velocity"], columns, -1) - ca.repmat(drive, 1, VELOCITIES)
+    before = ca.reshape(kept["velocity"], columns, -1)
+    predicted = before - ca.repmat(drive, 1, VELOCITIES)
     innovation = ca.repmat(reading, 1, VELOCITIES) - predicted
-    ratio = kept["lateral"] * ca.DM([(period / noise) ** 2 for noise in BANK.velocity_models for _ in range(AXES)]).T
+    weights = [(period / noise) ** 2 for noise in BANK.velocity_models for _ in range(AXES)]
+    ratio = kept["lateral"] * ca.DM(weights).T
     P = ratio / 2 + ca.sqrt(ratio**2 / 4 + ratio)
     velocity = predicted + ca.repmat(P / (P + 1), columns, 1) * innovation
     # across the thrust: along it a force jumps with each command, between two readings
-    across = ca.mtimes(innovation, ca.diagcat(*[R[:, :2]] * VELOCITIES))
+    across = innovation @ ca.diagcat(*[R[:, :2]] * VELOCITIES)
     velocity_z = ca.vertcat(across, ca.reshape(kept["velocity_before"], columns, -1))
 
     # attitude: the same in body axes, of the rotation in a period
-    rates = ca.horzcat(w, ca.reshape(kept["rates"], 3, readings)[:, :-1])
+    held = ca.reshape(kept["rates"], 3, readings)
+    rates = ca.horzcat(w, held[:, :-1])
     back = ca.vertcat(last[ATTITUDE][0], -last[ATTITUDE][1:])
     relative = product(back, x[ATTITUDE] * ca.sign(ca.dot(x[ATTITUDE], last[ATTITUDE])))
     rotated = 2 * relative[1:] * (1 + ca.sumsqr(relative[1:]) / 6)  # the arc of a sine, to third order
     flown = time > BANK.largest_age + 2 * period  # until then given attitudes may be those from before the flight
     before = flown * ca.reshape(kept["attitude_before"], columns, 3)
     attitude = ca.vertcat(rotated.T, period * rates.T, period * ca.DM.eye(3))
-    attitude = attitude + (1 - a["attitude_gain"]) * ca.mtimes(before, rotation_matrix(relative))
+    attitude = attitude + (1 - a["attitude_gain"]) * (before @ rotation_matrix(relative))
 
     # white noise: minus the covariance of successive changes (local level model, Harvey 1989)
-    moved = x[POSITION] - last[POSITION] - period * (x[VELOCITY] + last[VELOCITY]) / 2
+    expected = period * (x[VELOCITY] + last[VELOCITY]) / 2
+    moved = x[POSITION] - last[POSITION] - expected
     drift = ca.vertcat(moved, rotated - period * middle)
     change = f[:2] - air[:2] - kept["reading"]
     products = -drift * kept["drift"]
-    measured = (-ca.dot(change, kept["change"]) / 2, ca.sum1(products[:3]) / 3, ca.sum1(products[3:]) / 3)
-    share = ca.fmax(1 / (count + 5), period / BANK.noise_memory) * (count > 2) * ca.vertcat(read, 1, 1)
-    noise = kept["noise"] + share * (ca.vertcat(*measured) - kept["noise"])
-    least, most = ((a["stated"] * BANK.sheet_factor**sign) ** 2 for sign in (-1, 1))
+    of_force = -ca.dot(change, kept["change"]) / 2
+    of_position = ca.sum1(products[:3]) / 3
+    of_attitude = ca.sum1(products[3:]) / 3
+    measured = ca.vertcat(of_force, of_position, of_attitude)
+    share = ca.fmax(1 / (count + 5), period / BANK.noise_memory)
+    share = share * (count > 2) * ca.vertcat(read, 1, 1)
+    noise = kept["noise"] + share * (measured - kept["noise"])
+    least = (stated * BANK.sheet_factor**-1) ** 2
+    most = (stated * BANK.sheet_factor) ** 2
     lateral = limited(noise[0], least, most)
+    fading = math.exp(-period / BANK.forgetting)
 
     now = {
         "count": count,
@@ -268,22 +300,24 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
         "since_gap": since_gap,
         "forces": ca.vec(forces),
         "rates": ca.vec(rates),
-        "weights": math.exp(-period / BANK.forgetting) * kept["weights"] + ca.vertcat(counts, shown, flown),
+        "weights": fading * kept["weights"] + ca.vertcat(counts, shown, flown),
         "filters": ca.vec(ca.horzcat(value, bias)),
-        "regressors": ca.vec(z),
+        "regressors": ca.vec(regressors),
         "velocity": ca.vec(velocity),
         "velocity_before": ca.vec(across),
         "attitude_before": ca.vec(attitude),
-        "lateral": ca.if_else(time > BANK.measured_after, lateral, a["stated"] ** 2),
+        "lateral": ca.if_else(time > BANK.measured_after, lateral, stated**2),
         "reading": kept["reading"] + read * change,
         "change": ca.if_else(read, change, kept["change"]),
         "drift": drift,
         "noise": noise,
     }
     results = {
-        "gyro_z": counts * ca.vec(z[:, :-1]),
-        "thrust_z": counts * z[:, -1],
+        "gyro_z": counts * ca.vec(regressors[:, :-1]),
+        "thrust_z": counts * regressors[:, -1],
         "velocity_z": shown * ca.vec(velocity_z),
         "attitude_z": flown * ca.vec(ca.vertcat(attitude, before)),
-    } | {NEXT + name: value for name, value in now.items()}
-    return named_function("bank", a, {name: ca.densify(value) for name, value in results.items()})
+    }
+    results |= {NEXT + name: value for name, value in now.items()}
+    dense = {name: ca.densify(value) for name, value in results.items()}
+    return named_function("bank", a, dense)

@@ -6,14 +6,12 @@ What is assumed no better than LIMITS was not identifiable on this path: nothing
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadexp.errors import DataError
 from quadexp.log.schema import Flight
-from quadexp.log.store import read_flight
 from quadexp.physics.state import ATTITUDE, VELOCITY
 from quadexp.plugins.auto.responses import command_weights
 from quadexp.plugins.auto.settings import INTERVAL, LIMITS, REPORT
@@ -62,32 +60,36 @@ def beliefs(flight: Flight) -> list[Belief]:
         raise DataError("this flight assumed nothing: it was not flown with remedies=auto")
     if len(flight) < 2:
         return []
-    true, unknown, quantities = truths(flight), np.full(len(flight), np.nan), []
+    true = truths(flight)
+    quantities = []
     for column, (name, unit, deviation) in QUANTITIES.items():
         of_force = unit == "N"
         if of_force and "thinned" in flight.metadata:  # what moves between samples is not known
             continue
-        value, limit, factor = columns[column], LIMITS[unit], MS if unit == "ms" else 1.0
+        value, limit = columns[column], LIMITS[unit]
+        if of_force:
+            limit *= vehicle["mass"] * vehicle["gravity"]
         if deviation:
             moves = force_variance(flight, column) if of_force else 0.0
             half = INTERVAL.band * np.sqrt(columns[deviation] ** 2 + moves)
             low, high = value - half, value + half
         else:
             low, high = columns[f"{column}_low"], columns[f"{column}_high"]
-        if of_force:
-            limit *= vehicle["mass"] * vehicle["gravity"]
-        known = np.isfinite(low)
-        if known.any():
-            assumed = np.where(known, value, np.nan)
-            truth = factor * true.get(column, unknown)
-            quantities.append(Belief(name, unit, factor * assumed, factor * low, factor * high, truth, limit))
+        is_known = np.isfinite(low)
+        if is_known.any():
+            value = np.where(is_known, value, np.nan)
+            truth = true.get(column, np.full(len(flight), np.nan))
+            factor = MS if unit == "ms" else 1.0
+            value, low, high, truth = (factor * series for series in (value, low, high, truth))
+            quantities.append(Belief(name, unit, value, low, high, truth, limit))
     return quantities
 
 
 def force_variance(flight: Flight, column: str) -> np.ndarray:
     """Variance of a force (N^2), (k,), by what moves. The observer is behind the force; and where commands give the
     thrust, a timing that is off by d shows it late: by d / lag of how far a low pass would be behind the thrust."""
-    columns, axis = flight.columns, "xyz".index(column[-1])
+    columns = flight.columns
+    axis = "xyz".index(column[-1])
     lag = columns["auto_force_lag"]
     variance = behind(flight.t, columns[column], lag) ** 2
     if by_rotor_speeds(flight):
@@ -106,45 +108,52 @@ def behind(t: np.ndarray, value: np.ndarray, lag: np.ndarray) -> np.ndarray:
     pass stands still for an instant, and is off all the same."""
     moved = np.nan_to_num(value - np.interp(t - lag, t, value)) ** 2
     total = np.concatenate([[0.0], np.cumsum(moved[1:] * np.diff(t))])
-    recent = (total - np.interp(t - REPORT.recent * lag, t, total)) / (REPORT.recent * lag)
+    span = REPORT.recent * lag
+    recent = (total - np.interp(t - span, t, total)) / span
     return np.sqrt((moved + np.maximum(recent, 0.0)) / 2)
 
 
 def truths(flight: Flight) -> dict[str, np.ndarray]:
     """What the world of a simulated flight states, by column of QUANTITIES, (k,)."""
-    columns, config, timing = flight.columns, flight.metadata["config"], flight.metadata.get("timing")
-    true: dict[str, np.ndarray] = {}
-    if timing is not None:
-        ways = [config.get("actuator", {}).get(f"time_constant_{way}", 0.0) for way in ("up", "down")]
-        lag = timing["lag"] - max(ways) + lag_of(*ways)  # the slower way is stated
-        true["auto_age"] = np.full(len(flight), _age(flight, timing["age"]))
-        true["auto_delay"] = np.full(len(flight), timing["dead_time"] + lag)
-        true["observer_thrust_scale"] = _thrust_scale(flight, timing["dead_time"], lag)
-        true |= {f"observer_wind_{axis}": columns.get(f"wind_{axis}", np.zeros(len(flight))) for axis in "xyz"}
-    whole = len(flight) > 1 and "thinned" not in flight.metadata
-    if timing is not None and flight.metadata["residual"]["name"] == "none" and whole:
-        force = true_force(flight, timing["dead_time"], lag)
-        true |= {f"observer_force_{axis}": values for axis, values in zip("xyz", force.T, strict=True)}
+    timing = flight.metadata.get("timing")
+    if timing is None:
+        return {}
+    size, dead_time = len(flight), timing["dead_time"]
+    actuator = flight.metadata["config"].get("actuator", {})
+    up, down = (actuator.get(f"time_constant_{way}", 0.0) for way in ("up", "down"))
+    lag = timing["lag"] - max(up, down) + lag_of(up, down)  # the slower way is stated
+    true: dict[str, np.ndarray] = {
+        "auto_age": np.full(size, _age(flight, timing["age"])),
+        "auto_delay": np.full(size, dead_time + lag),
+        "observer_thrust_scale": _thrust_scale(flight, dead_time, lag),
+    }
+    for axis in "xyz":
+        true[f"observer_wind_{axis}"] = flight.columns.get(f"wind_{axis}", np.zeros(size))
+    if flight.metadata["residual"]["name"] == "none" and size > 1 and "thinned" not in flight.metadata:
+        force = true_force(flight, dead_time, lag)
+        for i, axis in enumerate("xyz"):
+            true[f"observer_force_{axis}"] = force[:, i]
     return true
 
 
 def _thrust_scale(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
     """What rotors gave lately of what was commanded, after dead time and lag (s), over the mass in that which is
     assumed, (k,). NaN where no column shows what the world has: a drawn factor, a payload, a rotor that fails."""
-    columns, config, n = flight.columns, flight.metadata["config"], flight.input.shape[1]
-    actuator, truth, speeds = config.get("actuator", {}), config.get("truth", {}), "rotor_speed_0" in columns
-    drawn = any(actuator.get(f"{of}_scale_std") for of in ("rotor", "flight"))
+    columns, config = flight.columns, flight.metadata["config"]
+    actuator, truth = config.get("actuator", {}), config.get("truth", {})
+    is_drawn = actuator.get("rotor_scale_std") or actuator.get("flight_scale_std")
     changes = "payload" in config or "health" in config or config["plant"].get("schedule")
-    if drawn or changes or len(flight) < 2 or "thinned" in flight.metadata:
+    if is_drawn or changes or len(flight) < 2 or "thinned" in flight.metadata:
         return np.full(len(flight), np.nan)
     given = commanded = commanded_thrust(flight, dead_time, lag, 0.0)
-    if speeds:
-        given = config["vehicle"]["thrust_coefficient"] * sum(columns[f"rotor_speed_{i}"] ** 2 for i in range(n))
+    if "rotor_speed_0" in columns:
+        given = _thrust_of_speeds(flight)
     elif "delivered_0" in columns:
-        given = flight.stack([f"delivered_{i}" for i in range(n)]).sum(axis=1)
-    window = np.ones(min(max(round(REPORT.last / float(flight.t[1] - flight.t[0])), 1), len(flight)))
-    means = [np.convolve(sums, window)[: len(flight)] for sums in (given, commanded)]
-    return means[0] / means[1] * truth.get("thrust_coefficient", 1.0) / truth.get("mass", 1.0)
+        given = flight.stack([f"delivered_{i}" for i in range(flight.input.shape[1])]).sum(axis=1)
+    samples = round(REPORT.last / _period(flight))
+    window = np.ones(min(max(samples, 1), len(flight)))
+    share = np.convolve(given, window)[: len(flight)] / np.convolve(commanded, window)[: len(flight)]
+    return share * truth.get("thrust_coefficient", 1.0) / truth.get("mass", 1.0)
 
 
 def lag_of(up: float, down: float) -> float:
@@ -170,25 +179,39 @@ def true_force(flight: Flight, dead_time: float, lag: float) -> np.ndarray:
     """What acts beside gravity and the thrusts that are assumed, on a model without air: m (a + g e_z) - T R e_z,
     world (N), (k, 3); m: the mass that is assumed, a: of the true velocity over the last period. T: of the commands
     after dead time and lag, or at the instants that of the rotors' speeds, times the scale that is assumed."""
-    vehicle, up, period = flight.metadata["config"]["vehicle"], _up(flight), float(flight.t[1] - flight.t[0])
-    thrust, scale = commanded_thrust(flight, dead_time, lag, period), flight.columns.get("observer_thrust_scale", 1.0)
+    vehicle, period = flight.metadata["config"]["vehicle"], _period(flight)
+    thrust = commanded_thrust(flight, dead_time, lag, period)
     if by_rotor_speeds(flight):
-        squares = sum(flight.columns[f"rotor_speed_{i}"] ** 2 for i in range(flight.input.shape[1]))
-        off = vehicle["thrust_coefficient"] * squares - commanded_thrust(flight, dead_time, lag, 0.0)
+        off = _thrust_of_speeds(flight) - commanded_thrust(flight, dead_time, lag, 0.0)
         thrust = thrust + (off + np.roll(off, 1)) / 2
+    thrust = flight.columns.get("observer_thrust_scale", 1.0) * thrust
     acceleration = np.diff(flight.state[:, VELOCITY], axis=0, prepend=np.nan) / period
+    up = _up(flight)
     middle = (up + np.roll(up, 1, axis=0)) / 2
-    return vehicle["mass"] * (acceleration + [0, 0, vehicle["gravity"]]) - (scale * thrust)[:, None] * middle
+    return vehicle["mass"] * (acceleration + [0, 0, vehicle["gravity"]]) - thrust[:, None] * middle
 
 
 def commanded_thrust(flight: Flight, dead_time: float, lag: float, span: float) -> np.ndarray:
     """Thrust of all rotors by the commands after dead time and lag (s), at each sample or its mean over `span` (s)
     before, (k,) (N)."""
-    period, sent = float(flight.t[1] - flight.t[0]), flight.input.sum(axis=1)
+    period = _period(flight)
+    sent = flight.input.sum(axis=1)
     count = 2 + math.ceil((dead_time + REPORT.settled * lag) / period)
-    weights = command_weights(period, count, np.array([dead_time + lag]), np.array([lag]), span)[0]
-    before = np.full(count, sent[0])
-    return np.convolve(np.concatenate([before, sent]), weights)[count - 1 :][: len(sent)]
+    [weights] = command_weights(period, count, np.array([dead_time + lag]), np.array([lag]), span)
+    commands = np.concatenate([np.full(count, sent[0]), sent])
+    return np.convolve(commands, weights)[count - 1 :][: len(sent)]
+
+
+def _thrust_of_speeds(flight: Flight) -> np.ndarray:
+    """Thrust of all rotors by their true speeds, (k,) (N)."""
+    squares = sum(flight.columns[f"rotor_speed_{i}"] ** 2 for i in range(flight.input.shape[1]))
+    thrust: np.ndarray = flight.metadata["config"]["vehicle"]["thrust_coefficient"] * squares
+    return thrust
+
+
+def _period(flight: Flight) -> float:
+    """From one sample to the next (s)."""
+    return float(flight.t[1] - flight.t[0])
 
 
 def _up(flight: Flight) -> np.ndarray:
@@ -210,17 +233,32 @@ def _to_show(flight: Flight) -> list[Belief]:
     return quantities
 
 
+def _band_text(low: float, high: float) -> str:
+    if np.isnan(low):
+        return ""
+    return f"at least {low:.3g}" if np.isinf(high) else f"{low:.3g} .. {high:.3g}"
+
+
+def _verdict(belief: Belief) -> str:
+    """On the end of the flight."""
+    if not belief.identifiable:
+        return "not identifiable on this path"
+    if np.isnan(belief.true[-1]):
+        return ""
+    return "in the band" if belief.covers[-1] else "outside"
+
+
 def beliefs_table(flight: Flight) -> Table:
     """At the end of the flight. DataError where it assumed nothing."""
     rows = []
     for belief in _to_show(flight):
         value, low, high, true = (float(x[-1]) for x in (belief.value, belief.low, belief.high, belief.true))
-        said = "" if np.isnan(true) else "in the band" if belief.covers[-1] else "outside"
-        verdict = said if belief.identifiable else "not identifiable on this path"
-        band = "" if np.isnan(low) else f"at least {low:.3g}" if np.isinf(high) else f"{low:.3g} .. {high:.3g}"
-        value = 0.0 if abs(value) < REPORT.rounded * (high - low) < math.inf else value
-        rows.append((belief.name, belief.unit, _text(value), band, _text(true), verdict))
-    return Table(("assumed at the end", "unit", "value", "95 % band", "true", ""), rows, left=frozenset({0, 1, 5}))
+        if abs(value) < REPORT.rounded * (high - low) < math.inf:
+            value = 0.0
+        band = _band_text(low, high)
+        rows.append((belief.name, belief.unit, _text(value), band, _text(true), _verdict(belief)))
+    columns = "assumed at the end", "unit", "value", "95 % band", "true", ""
+    return Table(columns, rows, left=frozenset({0, 1, 5}))
 
 
 @styled
@@ -230,27 +268,27 @@ def beliefs_figure(flight: Flight) -> Figure:
     figure = Figure(figsize=(9.0, 1.5 * len(quantities) + 0.6))
     panels = np.atleast_1d(figure.subplots(len(quantities), sharex=True))
     for panel, belief in zip(panels, quantities, strict=True):
-        t, low = flight.columns["t"], belief.low
-        high = np.where(
-            np.isinf(belief.high), np.nanmax(np.maximum(belief.value, belief.low), initial=0.0), belief.high
-        )
-        panel.fill_between(t, low, high, color=HUES["blue"], alpha=0.2, linewidth=0)
-        panel.plot(t, belief.value, color=HUES["blue"], label="assumed, 95 % band")
-        if np.isfinite(belief.true).any():
-            panel.plot(t, belief.true, color=HUES["vermillion"], linestyle=":", label="true")
-        late = np.isfinite(high) & (t > t[-1] / 10)
-        if late.any():
-            ends = np.concatenate([low[late], high[late], belief.true[late]])
-            panel.set_ylim(np.nanmin(ends), np.nanmax(ends) + REPORT.height)
-        unit = "" if belief.unit == "1" else f", {belief.unit}"
-        panel.set_title(f"{belief.name}{unit}" + ("" if belief.identifiable else ": not identifiable on this path"))
+        _draw(panel, flight.t, belief)
     panels[0].legend(loc="best", ncols=2)
     panels[-1].set_xlabel("time, s")
     return figure
 
 
-def read_beliefs(path: Path) -> Flight:
-    """A flight from its file; DataError where it assumed nothing."""
-    flight = read_flight(path)
-    _to_show(flight)
-    return flight
+def _draw(panel: Any, t: np.ndarray, belief: Belief) -> None:
+    """One quantity over time, t (k,) (s). A band without an upper end goes up to the largest value."""
+    largest = np.nanmax(np.maximum(belief.value, belief.low), initial=0.0)
+    high = np.where(np.isinf(belief.high), largest, belief.high)
+    panel.fill_between(t, belief.low, high, color=HUES["blue"], alpha=0.2, linewidth=0)
+    panel.plot(t, belief.value, color=HUES["blue"], label="assumed, 95 % band")
+    if np.isfinite(belief.true).any():
+        panel.plot(t, belief.true, color=HUES["vermillion"], linestyle=":", label="true")
+    late = np.isfinite(high) & (t > t[-1] / 10)
+    if late.any():
+        ends = np.concatenate([belief.low[late], high[late], belief.true[late]])
+        panel.set_ylim(np.nanmin(ends), np.nanmax(ends) + REPORT.height)
+    title = belief.name
+    if belief.unit != "1":
+        title += f", {belief.unit}"
+    if not belief.identifiable:
+        title += ": not identifiable on this path"
+    panel.set_title(title)

@@ -18,13 +18,15 @@ def show_beliefs(
     """\b
     quadexp show runs/a.parquet --beliefs --out beliefs.png
     """
-    from quadexp.plugins.auto.beliefs import beliefs_figure, beliefs_table, read_beliefs
+    from quadexp.log.store import read_flight
+    from quadexp.plugins.auto.beliefs import beliefs_figure, beliefs_table
     from quadexp.plugins.drawing.style import check_path, save_figure
 
     figure = None if out is None else check_path(out, force)
-    flight = read_beliefs(path)
+    flight = read_flight(path)
     table = beliefs_table(flight)
     if figure is not None:
         save_figure(beliefs_figure(flight), figure, force=force)
+    records = [named(table.columns, row) for row in table.rows]
     drawn = [] if figure is None else [str(figure)]
-    return Answer({"beliefs": [named(table.columns, row) for row in table.rows]}, [table], [table, *drawn])
+    return Answer({"beliefs": records}, [table], [table, *drawn])

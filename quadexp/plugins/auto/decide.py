@@ -25,11 +25,13 @@ import numpy as np
 from quadexp.compile.memory import NEXT, NOW
 from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.settings import MPCSettings
+from quadexp.names import named
 from quadexp.physics.expression import Expression, dense_function, limited, named_symbols, split
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.auto.posterior import FOUND
 from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL
 
+LARGEST_DELAYS = BANK.largest_age, BANK.largest_dead_time, BANK.largest_lag  # s
 UNKNOWN = -1.0  # of what a decision has crossed: neither
 BELIEFS = 10  # age, delay, lag, their lower and their upper ends; by how much rates are newer; behind them what acts
 OF_SEARCH = sum(FOUND.values())
@@ -90,28 +92,36 @@ def decided(
     """What to act on from now on. found: mean and deviation, (3,), newer, odds, (2,), at_end, (4,), of a posterior;
     known: whether there is one. period: of control (s)."""
     s = DECISION
-    age, total, lag = ca.vertsplit(found["mean"])
-    of_age, of_total = ca.vertsplit(found["odds"])
-    needed = s.age_odds * (1 + s.between / ca.fmax(age, s.least_age))
-    age = ca.if_else(ca.logic_and(of_age > needed, age > s.least_age), age, 0)
-    acted = ca.if_else(of_total > s.total_odds, total, 0)
+    mean_age, total, lag = ca.vertsplit(found["mean"])
+    odds_of_age, odds_of_total = ca.vertsplit(found["odds"])
+
+    # delays that there is evidence for; small changes of what is known change nothing
+    needed = s.age_odds * (1 + s.between / ca.fmax(mean_age, s.least_age))
+    is_late = ca.logic_and(odds_of_age > needed, mean_age > s.least_age)
+    age = ca.if_else(is_late, mean_age, 0)
+    acted = ca.if_else(odds_of_total > s.total_odds, total, 0)
     lag = ca.fmin(lag, acted)
     wanted = ca.vertcat(age, acted, lag, ca.fmin(found["newer"], age))
     before = ca.vertcat(last.age, last.total, last.lag, last.newer)
     small = ca.mmax(ca.fabs(wanted - before)[:2]) < s.least_change
     age, acted, lag, newer = ca.vertsplit(ca.if_else(small, before, wanted))
-    late = ca.fmax(found["deviation"][0], ca.fabs(found["mean"][0] - age) / 2)  # also an age that does not act yet
-    timing = found["deviation"][1] + ca.fabs(total - acted) + late / 2
+
+    # stiffness
+    age_deviation, total_deviation, _ = ca.vertsplit(found["deviation"])
+    late = ca.fmax(age_deviation, ca.fabs(mean_age - age) / 2)  # also an age that does not act yet
+    timing = total_deviation + ca.fabs(total - acted) + late / 2
     uncertain = timing + s.inexact * (age + acted)
     stiff = (uncertain < s.stiff_timing) * (acted < s.stiff_total) * (1 - statistics.busy)
-    beyond = ca.mmax(found["at_end"][[0, 1, 3]]) > 0
-    soft = ca.logic_or(beyond, age + acted + period >= s.soft_sum)
-    grid = ca.if_else(soft, 0, ca.fmin(1 + (uncertain < s.middle_timing) + stiff, last.grid + 1))
+    may_be_later = ca.mmax(found["at_end"][[0, 1, 3]]) > 0
+    soft = ca.logic_or(may_be_later, age + acted + period >= s.soft_sum)
+    stiffness = 1 + (uncertain < s.middle_timing) + stiff
+    grid = ca.if_else(soft, 0, ca.fmin(stiffness, last.grid + 1))
     # without evidence the softest grid would let the error stand for a second
     grid = ca.if_else(known, grid, ca.fmax(last.grid, statistics.acts))
     grid *= statistics.enough
     found_now = ca.vertcat(age, acted - lag, lag, newer, grid, timing)
-    return Decision(*ca.vertsplit(ca.if_else(known, found_now, ca.vertcat(*last[:4], grid, last.timing))))
+    unchanged = ca.vertcat(*last[:4], grid, last.timing)
+    return Decision(*ca.vertsplit(ca.if_else(known, found_now, unchanged)))
 
 
 def intervals(found: Mapping[str, Expression], beside: Expression) -> tuple[Expression, Expression]:
@@ -120,30 +130,38 @@ def intervals(found: Mapping[str, Expression], beside: Expression) -> tuple[Expr
     Age and total are mostly known by their sum, to half a step of the finer grid. So that there is none of one, at the
     edge of what can be, and all of both is the other, lies within, unless the Bayes factor excludes it.
     """
-    both = found["mean"][0] + found["mean"][1] + BANK.age_step / BANK.fine / 2
+    mean = found["mean"]
+    both = mean[0] + mean[1] + BANK.age_step / BANK.fine / 2
     ageless, prompt = ca.vertsplit(found["odds"] < INTERVAL.none_odds)
     least = found["lower"] * (1 - ca.vertcat(ageless, prompt, prompt))
     most = ca.fmax(found["upper"], both * ca.vertcat(prompt, ageless, 0))
-    lower = ca.fmax(found["mean"] - ca.hypot(found["mean"] - least, beside), 0)
-    return lower, found["mean"] + ca.hypot(most - found["mean"], beside)
+    lower = mean - ca.hypot(mean - least, beside)
+    upper = mean + ca.hypot(most - mean, beside)
+    return ca.fmax(lower, 0), upper
 
 
 def known(age: float, dead_time: float, lag: float, period: float) -> Decision:
     """What is acted on once these delays (s) are known, as far as they are looked for, in the stiffest grid."""
-    delays, largest = (age, dead_time, lag), (BANK.largest_age, BANK.largest_dead_time, BANK.largest_lag)
     grid = len(DECISION.grids) - (dead_time + lag >= DECISION.stiff_total)
-    too_late = any(delay > most for delay, most in zip(delays, largest, strict=True))
-    if too_late or sum(delays) + period >= DECISION.soft_sum:
+    delays = age, dead_time, lag
+    found = tuple(map(min, delays, LARGEST_DELAYS))
+    if found != delays or sum(delays) + period >= DECISION.soft_sum:
         grid = 0
-    age, dead_time, lag = map(min, delays, largest)
+    age, dead_time, lag = found
     return Decision(age, dead_time, lag, 0.0, grid, 0.0)
 
 
 def start_of(begin: Decision) -> dict[str, Any]:
     """What is remembered of decisions as a flight begins, but for zeros."""
-    beliefs = [*[0.0] * 3, *[np.nan] * 6, *[0.0] * 5]
-    start = {"next": DECISION.begins, "crossed": np.full(3, UNKNOWN), "decision": np.array(begin), "beliefs": beliefs}
-    return start | {"late": DISTURBANCE.unknown_timing}
+    beliefs = np.zeros(KEPT["beliefs"])
+    beliefs[3:9] = np.nan  # of ends of intervals
+    return {
+        "next": DECISION.begins,
+        "crossed": np.full(KEPT["crossed"], UNKNOWN),
+        "decision": np.array(begin),
+        "late": DISTURBANCE.unknown_timing,
+        "beliefs": beliefs,
+    }
 
 
 def decision_function(
@@ -155,42 +173,51 @@ def decision_function(
     the coarse grid; moved and FOUND of the finer one. apart: by which age and delays cannot be distinguished
     (s). unsaid: whether nobody says how old rates are beside the pose.
     """
-    s, searched = DECISION, {"odds": 2, "at_end": 4, "moved": 1} | FOUND
-    shapes = {"count": 1, "weights": 3, "noise": 3, "commands": commands, "acts": 3, **searched}
-    a = named_symbols(ca.SX, shapes | {NOW + name: size for name, size in KEPT.items()})
+    s = DECISION
+    shapes = {"count": 1, "weights": 3, "noise": 3, "commands": commands, "acts": 3}
+    shapes |= {"odds": 2, "at_end": 4, "moved": 1} | FOUND
+    shapes |= {NOW + name: size for name, size in KEPT.items()}
+    a = named_symbols(ca.SX, shapes)
     kept = {name: a[NOW + name] for name in KEPT}
-    searching, last = kept["searching"], Decision(*ca.vertsplit(kept["decision"]))
+    searching, looks = kept["searching"], kept["wait"] <= 0
+    last = Decision(*ca.vertsplit(kept["decision"]))
+    elapsed = ca.fmax(a["count"] * bank_period - BANK.settling, 0)
+    rounding = s.rounding * period
+    soon = elapsed + rounding < s.early
+    often = max(1, round(s.soonest / period))
+    seldom = max(1, round(s.checks / period))
 
     # a look at what is measured
-    elapsed, rounding = ca.fmax(a["count"] * bank_period - BANK.settling, 0), s.rounding * period
-    looks, soon = kept["wait"] <= 0, elapsed + rounding < s.early
     low, high = vehicle.thrust_min, vehicle.thrust_max
     off = ca.fabs(a["commands"] - (low + high) / 2)
     saturated = ca.sum1(off > s.at_limit * (high - low) / 2) / commands
     share = looks * ca.if_else(soon, s.soonest, s.checks) / s.corners_memory
     saturates = kept["saturates"] + share * (saturated - kept["saturates"])
-    position = ca.sqrt(ca.fmax(a["noise"][1], 0)) * (elapsed > BANK.measured_after + rounding)
+    is_measured = elapsed > BANK.measured_after + rounding
+    position = ca.sqrt(ca.fmax(a["noise"][1], 0)) * is_measured
+    busy = ca.vertcat(position > s.large_noise, saturated > s.saturated, saturates > s.saturates)
     enough = (a["count"] >= s.few_readings) * (position < s.soft_noise)
-    acts_now = enough * (ca.mmax(a["acts"]) > 0)
-    busy = (position > s.large_noise, saturated > s.saturated, saturates > s.saturates)
-    statistics = Statistics(ca.mmax(ca.vertcat(*busy)), acts_now, enough)
+    statistics = Statistics(busy=ca.mmax(busy), acts=enough * (ca.mmax(a["acts"]) > 0), enough=enough)
     crossed = ca.vertcat(statistics.busy, statistics.acts, enough)
-    often, seldom = (max(1, round(each / period)) for each in (s.soonest, s.checks))
+    has_crossed = ca.mmax(ca.fabs(crossed - kept["crossed"])) > 0
 
     # the search goes on, or ends
-    refined, passes = kept["rounds"] > 0, kept["passes"] + kept["rounds"]
+    refined = kept["rounds"] > 0
+    passes = kept["passes"] + kept["rounds"]
     done = refined * ca.logic_or(ca.logic_not(a["moved"]), passes >= BANK.passes)
     due = elapsed + period - rounding >= kept["next"]  # the search is in the next instant
     due = ca.logic_and(due, a["weights"][1] > 0)
     due = looks * due * ca.logic_or(ca.logic_not(searching), done)
-    found = ca.if_else(done, ca.vertcat(*(a[name] for name in FOUND)), kept["found"])
-    odds, at_end = (ca.if_else(refined, a[name], kept[name]) for name in ("odds", "at_end"))
-    of = dict(zip(FOUND, split(found, FOUND.values()), strict=True)) | {"odds": odds, "at_end": at_end}
     now = ca.logic_or(due, searching * ca.logic_not(done))
+    found = ca.vertcat(*(a[name] for name in FOUND))
+    found = ca.if_else(done, found, kept["found"])
+    of = named(FOUND, split(found, FOUND.values()))
+    for name in ("odds", "at_end"):
+        of[name] = ca.if_else(refined, a[name], kept[name])
 
     # the decision
     is_known = ca.fmax(kept["known"], done)
-    decides = ca.logic_or(done, looks * ca.logic_not(searching) * (ca.mmax(ca.fabs(crossed - kept["crossed"])) > 0))
+    decides = ca.logic_or(done, looks * ca.logic_not(searching) * has_crossed)
     decision = ca.vertcat(*decided(is_known, of, last, statistics, period))
     decision = ca.if_else(decides, decision, kept["decision"])
     differs = ca.fabs(decision - kept["decision"]) > 0
@@ -199,32 +226,34 @@ def decision_function(
 
     # intervals, and beside them what the model of all hypotheses leaves out
     age, _, lag = ca.vertsplit(of["mean"])
-    untold = ca.hypot(apart, ca.hypot(unsaid * age / INTERVAL.band, INTERVAL.unlike * lag))
-    unsure = ca.if_else(done, untold, kept["unsure"])
+    untold = ca.hypot(unsaid * age / INTERVAL.band, INTERVAL.unlike * lag)
+    unsure = ca.if_else(done, ca.hypot(apart, untold), kept["unsure"])
     late = ca.fabs(age - acts.age)  # age that does not act
     beside = INTERVAL.band * ca.hypot(INTERVAL.inexact * of["mean"], unsure)
     lower, upper = intervals(of, beside)
-    beyond = ca.mmax(at_end) > 0  # then any of them may be larger, and what is not at its end is not known
-    lower *= ca.logic_or(1 - beyond, at_end[:3])
+    beyond = ca.mmax(of["at_end"]) > 0  # then any of them may be larger, and what is not at its end is not known
+    lower *= ca.logic_or(1 - beyond, of["at_end"][:3])
     beliefs = ca.vertcat(of["mean"], lower, ca.if_else(beyond, math.inf, upper), of["newer"])
     beliefs = ca.if_else(done, beliefs, kept["beliefs"][:BELIEFS])
+    predicted_over = s.inexact * (acts.age + acts.total)
+    pause = limited(s.pace * elapsed, s.soonest, s.latest)
     left = {
         "searching": now,
         "passes": ca.if_else(due, 0, passes),
         "wait": ca.if_else(looks, ca.if_else(soon, often, seldom), kept["wait"]) - 1,
         "saturates": saturates,
-        "next": ca.if_else(due, elapsed + limited(s.pace * elapsed, s.soonest, s.latest), kept["next"]),
+        "next": ca.if_else(due, elapsed + pause, kept["next"]),
         "crossed": ca.if_else(decides, crossed, kept["crossed"]),
         "known": is_known,
         "searches": due,
         "rounds": now * ca.if_else(soon, BANK.passes, ca.logic_not(due)),
         "found": found,
-        "odds": odds,
-        "at_end": at_end,
+        "odds": of["odds"],
+        "at_end": of["at_end"],
         "decision": decision,
         "unsure": unsure,
         "late": ca.if_else(ca.logic_and(is_known, enough), late, kept["late"]),
-        "apart": ca.hypot(unsure, ca.hypot(late * is_known, s.inexact * (acts.age + acts.total))),
+        "apart": ca.hypot(unsure, ca.hypot(late * is_known, predicted_over)),
         "beliefs": ca.vertcat(beliefs, decision[:3], acts.grid),
     }
     results = {NEXT + name: left[name] for name in KEPT}
@@ -238,14 +267,19 @@ def grids(settings: MPCSettings) -> list[MPCSettings]:
     Where all its other weights are k times the usual ones or more, so is that of the position: a cost that is scaled
     has the same optimum.
     """
-    of_grids, usual, factor = [settings], MPCSettings(), math.inf
+    factors = []
     for name in ("attitude_weight", "velocity_weight", "rate_weight", "input_weight"):
-        asked, least = (np.atleast_1d(getattr(one, name)) for one in (settings, usual))
-        factor = min(factor, float((asked[least > 0] / least[least > 0]).min()))
+        asked = np.atleast_1d(getattr(settings, name))
+        usual = np.atleast_1d(getattr(MPCSettings(), name))
+        weighed = usual > 0
+        factors.append(float((asked[weighed] / usual[weighed]).min()))
+    factor = max(min(factors), 1.0)
+    of_grids = [settings]
     for grid in DECISION.grids:
         first = max(grid.first_node, settings.control_period)
         horizon = max(grid.horizon, settings.nodes * first)
-        x, y, z = (max(grid.position_weight * max(factor, 1.0), asked) for asked in settings.position_weight)
+        x, y, z = (max(grid.position_weight * factor, asked) for asked in settings.position_weight)
+        input_weight = grid.inputs * settings.input_weight
         timed = replace(settings, first_node=first, horizon=horizon)
-        of_grids.append(replace(timed, position_weight=(x, y, z), input_weight=grid.inputs * settings.input_weight))
+        of_grids.append(replace(timed, position_weight=(x, y, z), input_weight=input_weight))
     return of_grids

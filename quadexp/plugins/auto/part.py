@@ -14,7 +14,7 @@ from quadexp.plugins.auto.around_law import AutoLaw
 from quadexp.plugins.auto.around_mpc import AutoMPC
 from quadexp.plugins.auto.auto import Auto
 from quadexp.plugins.auto.decide import grids
-from quadexp.plugins.auto.disturbance import speeds_tell
+from quadexp.plugins.auto.sources import speeds_tell
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,7 +36,8 @@ from quadexp.plugins.remedies.sent_commands import INSTANT, NO_LAG
 SOURCE = Path(__file__).with_name("posterior.c")
 LATE, PROMPT, BETWEEN = range(3)
 STEPS = np.array([BANK.age_step, BANK.total_step, BANK.lag_step, BANK.age_step])  # of a, D, l, r (s)
-LARGEST = np.array([BANK.largest_age, BANK.largest_dead_time + BANK.largest_lag, BANK.largest_lag, BANK.largest_age])
+LARGEST_TOTAL = BANK.largest_dead_time + BANK.largest_lag  # s
+LARGEST = np.array([BANK.largest_age, LARGEST_TOTAL, BANK.largest_lag, BANK.largest_age])
 # Of age, total and lag (s): mean, deviation, 2.5 and 97.5 % quantiles; by how much rates are newer (s)
 FOUND = {"mean": 3, "deviation": 3, "lower": 3, "upper": 3, "newer": 1}
 ENDS = np.append(LARGEST[:3], BANK.largest_dead_time)  # of a, D, l and dead time (s)
@@ -57,10 +58,11 @@ class Search:
         self._flags = flags
         form = Kernel if backend == "compiled" else Posterior
         seen = {name: moments.reshape(-1, moments.shape[-1]) for name, moments in bank.moments.items()}
-        seen |= {name: bank.part(name) for name in ("weights", "lateral")}
+        for name in ("weights", "lateral"):
+            seen[name] = bank.memory.of_now[name]
         nowhere = {"centre": np.zeros(4), "models": np.zeros(2), "rounds": np.zeros(1)}
         self.coarse = form(bank, 1, seen | nowhere)
-        self.left = {name: self.coarse.results[name] for name in LEFT}
+        self.left = self.coarse.results
         around = {"centre": self.left["mode"], "models": self.left["chosen"], "rounds": flags["rounds"]}
         self.fine = form(bank, BANK.fine, seen | around)
         self.found = {name: self.fine.results[name] for name in ("mode", "moved", *FOUND)}
@@ -69,7 +71,9 @@ class Search:
 
     def calls(self) -> list[Call]:
         """What is to be done at an instant."""
-        return [call(self.coarse, self._flags["searches"]), call(self.fine, self._flags["rounds"])]
+        coarse = call(self.coarse, self._flags["searches"])
+        fine = call(self.fine, self._flags["rounds"])
+        return [coarse, fine]
 
     def moved(self) -> Call:
         """The finer grid goes on from its own mode."""
@@ -86,11 +90,13 @@ class Posterior(BufferedFunction):
     """
 
     def __init__(self, bank: Bank, fine: int, given: Mapping[str, np.ndarray]) -> None:
-        self.bank, self.fine = bank, fine
+        self.bank = bank
+        self.fine = fine
         symbols = {name: ca.SX.sym(name, *array.T.shape) for name, array in given.items()}
         sizes = LEFT if fine == 1 else LEFT | FOUND
         results = {name: ca.DM.zeros(size) for name, size in sizes.items()}  # what is found is found elsewhere
-        super().__init__(named_function("coarse" if fine == 1 else "fine", symbols, results), given)
+        name = "coarse" if fine == 1 else "fine"
+        super().__init__(named_function(name, symbols, results), given)
 
     def __call__(self) -> None:
         centre = self.arguments["centre"]
@@ -104,47 +110,59 @@ class Posterior(BufferedFunction):
 
     def _around(self, centre: np.ndarray) -> dict[str, Any]:
         """LEFT and FOUND on the grid around a mode. Arrays over hypotheses: (r, a, l, D)."""
-        whole = self.fine == 1
-        steps, reach = STEPS / self.fine, LARGEST if whole else STEPS
-        low, high = np.maximum(centre - reach, 0), np.minimum(centre + reach, LARGEST)
+        steps = STEPS / self.fine
+        reach = LARGEST if self.fine == 1 else STEPS
+        low = np.maximum(centre - reach, 0)
+        high = np.minimum(centre + reach, LARGEST)
         ages, totals, lags, newer = map(points, low, high, steps)
         by, age, lag, total = np.meshgrid(newer, ages, lags, totals, indexing="ij", sparse=True)
 
         # rates are newer by up to the age; by less than a step is how they go between readings
         rates = rates_of(age, by)
-        impossible = (by > age + INSTANT) | (rates == BETWEEN) & (by < BANK.age_step - INSTANT)
+        between_readings = (rates == BETWEEN) & (by < BANK.age_step - INSTANT)
+        impossible = (by > age + INSTANT) | between_readings
         rates_old = np.maximum(age - by, 0)
-        times = points(rates_old.min() + totals[0], rates_old.max() + totals[-1], steps[0])
-        at_time = np.rint((rates_old + total - times[0]) / steps[0]).astype(int)
+        first = rates_old.min() + totals[0]
+        last = rates_old.max() + totals[-1]
+        times = points(first, last, steps[0])
+        at_time = np.rint((rates_old + total - first) / steps[0]).astype(int)
 
         _, of_thrust = self._by_commands("thrust", totals, lags)
         gyro_model, of_gyro = self._by_commands("gyro", times, lags)
         velocity_model, of_age = self._by_readings("velocity", ages)
         _, of_newer = self._by_readings("attitude", newer)
-        likelihood = of_thrust + of_gyro[np.arange(len(lags))[:, None], at_time] + of_age.reshape(age.shape)
+        at_lag = np.arange(len(lags))[:, None]
+        likelihood = of_thrust + of_gyro[at_lag, at_time] + of_age.reshape(age.shape)
         ways = np.minimum(total, BANK.largest_lag) - np.maximum(total - BANK.largest_dead_time, 0)
-        prior = (
-            -(age + total) / BANK.mean_delay
-            - np.log(np.maximum(ways, 0) + BANK.lag_step)
-            - np.take(BANK.rates_odds, rates)
-        )
+        of_ways = np.log(np.maximum(ways, 0) + BANK.lag_step)
+        prior = -(age + total) / BANK.mean_delay - of_ways - np.take(BANK.rates_odds, rates)
         log = np.where(impossible, -NEVER, likelihood + of_newer.reshape(by.shape) + prior)
 
         best = log.max()
-        at_newer, at_age, at_lag, at_total = np.unravel_index(log.argmax(), log.shape)
-        mode = np.array([ages[at_age], totals[at_total], lags[at_lag], newer[at_newer]])
+        ageless, prompt = log[:, 0].max(), log[..., 0].max()
+        place = np.unravel_index(log.argmax(), log.shape)
+        mode = np.array([ages[place[1]], totals[place[3]], lags[place[2]], newer[place[0]]])
+        moved = np.abs(mode - centre) >= STEPS - INSTANT
+        is_prompt = rates_of(mode[0], mode[3]) == PROMPT
         share = np.exp(log - best)
-        shares = share.sum((0, 2, 3)), share.sum((0, 1, 2)), share.sum((0, 1, 3))
-        beside = STEPS[[0, 2, 2]] / self.fine  # a total goes along with a lag that is between points of the grid
-        spreads = np.array(list(map(_summary, shares, (ages, totals, lags), steps, beside)))
+        off_age, off_total, off_lag = STEPS[[0, 2, 2]] / self.fine  # a total goes along with a lag between points
+        summaries = [
+            _summary(share.sum((0, 2, 3)), ages, steps[0], off_age),
+            _summary(share.sum((0, 1, 2)), totals, steps[1], off_total),
+            _summary(share.sum((0, 1, 3)), lags, steps[2], off_lag),
+        ]
+        mean, deviation, lower, upper = np.transpose(summaries)
         return {
             "mode": mode,
             "chosen": [gyro_model, velocity_model],
-            "odds": [best - log[:, 0].max(), best - log[..., 0].max()],
+            "odds": [best - ageless, best - prompt],
             "at_end": np.append(mode[:3], mode[1] - mode[2]) > ENDS - INSTANT,
-            "moved": not whole and (np.abs(mode - centre) >= STEPS - INSTANT).any(),
-            **dict(zip(("mean", "deviation", "lower", "upper"), spreads.T, strict=True)),
-            "newer": spreads[0, 0] if rates_of(mode[0], mode[3]) == PROMPT else mode[3],
+            "moved": self.fine > 1 and moved.any(),
+            "mean": mean,
+            "deviation": deviation,
+            "lower": lower,
+            "upper": upper,
+            "newer": mean[0] if is_prompt else mode[3],
         }
 
     def _models(self, name: str, chosen: int) -> dict[int, np.ndarray]:
@@ -158,26 +176,33 @@ class Posterior(BufferedFunction):
     def _by_commands(self, name: str, totals: np.ndarray, lags: np.ndarray) -> tuple[int, np.ndarray]:
         """The likeliest noise model of a filter that commands drive, and log likelihoods, (l, D), by its innovations,
         whose scale has a prior."""
-        bank, n = self.bank, max(self.arguments["weights"][0], 1)
-        longest, late, span, prior = BANK.largest_dead_time, 0.0, bank.spans[0], BANK.scale_deviation
+        bank = self.bank
+        n = max(self.arguments["weights"][0], 1)
         if name == "gyro":  # two axes; two readings differ by the mean in between
             n *= 2
-            longest += BANK.largest_age
+            longest = BANK.largest_dead_time + BANK.largest_age
             late, span, prior = bank.spans[1] / 2, bank.period, BANK.inertia_deviation
+        else:
+            longest = BANK.largest_dead_time
+            late, span, prior = 0.0, bank.spans[0], BANK.scale_deviation
         lag, total = np.meshgrid(lags, totals, indexing="ij")
-        possible = (total - lag > -INSTANT) & (total - lag < longest + INSTANT)
-        h = command_weights(bank.period, bank.layout.commands, total[possible] + late, lag[possible], span)
+        dead_time = total - lag
+        possible = (dead_time > -INSTANT) & (dead_time < longest + INSTANT)
+        delays = total[possible] + late, lag[possible]
+        h = command_weights(bank.period, bank.layout.commands, *delays, span)
         found = {}
         for model, M in self._models(name, 0).items():
+            of_y = M[0, 0]
             cross = h @ M[0, 2:-1]
             square = np.sum(h @ M[2:-1, 2:-1] * h, axis=1)
-            least = np.min(M[0, 0] - 2 * cross + square)
+            least = np.min(of_y - 2 * cross + square)
             ridge = max(least, 0) / n / prior**2 + BANK.floor
             scale = (cross + ridge) / (square + ridge)
-            sse = np.maximum(M[0, 0] - 2 * scale * cross + scale**2 * square, 0)
+            sse = np.maximum(of_y - 2 * scale * cross + scale**2 * square, 0)
             best = sse.argmin()
             weights = scale[best] * h[best]
-            now, before = np.r_[1, 0, -weights, 0], np.r_[0, 1, 0, -weights]
+            now = np.r_[1, 0, -weights, 0]
+            before = np.r_[0, 1, 0, -weights]
             log = np.full(total.shape, -NEVER)
             log[possible] = _log_likelihood(sse, n, before @ M @ now, now @ M @ now)
             found[model] = log
@@ -190,13 +215,17 @@ class Posterior(BufferedFunction):
         _, of_velocity, of_attitude = np.maximum(self.arguments["weights"], 1)
         # reading: deviation of what one adds in a period; noises: of the state that it is compared with
         if name == "velocity":
-            reading, noises = bank.period * np.sqrt(self.arguments["lateral"][0]), BANK.velocity_models
+            reading = bank.period * np.sqrt(self.arguments["lateral"][0])
+            noises = BANK.velocity_models
             n, span, prior = 2 * of_velocity, bank.spans[0], BANK.bias_deviation
         else:
-            reading, noises = bank.turn_noise[0], bank.turn_noise[1:]
+            reading, noise = bank.turn_noise
+            noises = (noise,)
             n, span, prior = AXES * of_attitude, bank.spans[1], BANK.rate_bias_deviation
         columns, known = bank.layout.columns, bank.layout.columns - AXES
         of_readings = reading_weights(bank.period, known - 1, ages - span / 2)
+        places = np.arange(known - 1)
+        apart = np.abs(places[:, None] - places)
         h = np.insert(-of_readings, 0, 1, axis=1)
         found = {}
         for model, M in self._models(name, 1).items():
@@ -204,15 +233,17 @@ class Posterior(BufferedFunction):
             sse = np.sum(h @ square[:known, :known] * h, axis=1)
             cross = h @ square[:known, known:]
             ridge = max(sse.min(), 0) / n / prior**2 + BANK.floor
-            estimate = cross @ np.linalg.inv(square[known:, known:] + ridge * np.eye(AXES))
+            of_bias = square[known:, known:] + ridge * np.eye(AXES)
+            estimate = cross @ np.linalg.inv(of_bias)
             sse = np.maximum(sse - np.sum(cross * estimate, axis=1), 0)
             # what white noise of readings adds to an innovation of a filter that keeps 1 - gain of its error; all else
             # in the least of them is noise of the state that readings are compared with
             kept = 1 - first_order_gain(reading / noises[model])
-            places = np.arange(known - 1)
-            correlated = of_readings @ kept ** np.abs(places[:, None] - places)
-            of_reading = reading**2 * np.sum(correlated * of_readings, axis=1) / (1 - kept**2)
-            added = of_reading + max(sse.min() / n - of_reading[sse.argmin()], 0) + BANK.floor
+            correlated = of_readings @ kept**apart
+            white = np.sum(correlated * of_readings, axis=1)
+            of_reading = reading**2 * white / (1 - kept**2)
+            rest = max(sse.min() / n - of_reading[sse.argmin()], 0) + BANK.floor
+            added = of_reading + rest
             sse = sse * added[0] / added
             best = sse.argmin()
             whole = np.r_[h[best], -estimate[best]]
@@ -229,21 +260,24 @@ class Kernel(Posterior):
         library = ctypes.PyDLL(str(linked_library("posterior", (self.source, ()))))
         self._code = getattr(library, self.function.name())
         self._code.argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_int]
-        arguments, results = (
-            np.array([array.ctypes.data for array in arrays.values()], np.uintp)
-            for arrays in (self.arguments, self.results)
-        )
-        self.for_c = CFunction(self._code, arguments, results, np.zeros(1, np.int64), np.zeros(1))
+        work = np.zeros(1, np.int64), np.zeros(1)
+        self.for_c = CFunction(self._code, _addresses(self.arguments), _addresses(self.results), *work)
         self._addresses = [array.ctypes.data for array in self.for_c.arrays]
 
     def __call__(self) -> None:
         self._code(*self._addresses, 0)
 
 
+def _addresses(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    return np.array([array.ctypes.data for array in arrays.values()], np.uintp)
+
+
 def kernel_source(bank: Bank) -> str:
     """posterior.c for these settings, complete: the numbers of BankSettings under their names, and what is here."""
-    whole, steps = (LARGEST / STEPS).round().astype(int) + 1, 2 * BANK.fine + 1
-    side, times = max(*whole, steps), 2 * whole[0] - 1 + max(whole[1], steps)
+    ages, totals, lags, _ = (LARGEST / STEPS).round().astype(int) + 1
+    steps = 2 * BANK.fine + 1
+    side = max(ages, totals, lags, steps)
+    times = 2 * ages - 1 + max(totals, steps)
     counts = {
         "COMMANDS": bank.layout.commands,
         "READINGS": bank.layout.readings,
@@ -252,7 +286,7 @@ def kernel_source(bank: Bank) -> str:
         "FINE": BANK.fine,
         "SIDE": side,
         "SIDES": 2 * side,
-        "MOST": times * max(whole[2], steps),
+        "MOST": times * max(lags, steps),
     }
     numbers = {name.upper(): value for name, value in vars(BANK).items() if isinstance(value, float)}
     numbers |= {"PERIOD": bank.period, "INSTANT": INSTANT, "NO_LAG": NO_LAG, "NEVER": NEVER}
@@ -260,14 +294,15 @@ def kernel_source(bank: Bank) -> str:
     numbers["TURN_NOISE"], numbers["ATTITUDE_NOISE"] = bank.turn_noise
     lines = [f"enum {{ {name} = {count} }};" for name, count in counts.items()]
     lines += [f"#define {name} ((SUM){value!r})" for name, value in numbers.items()]
-    for name, values in {"VELOCITY_NOISES": BANK.velocity_models, "RATES_ODDS": BANK.rates_odds}.items():
+    for name, values in (("VELOCITY_NOISES", BANK.velocity_models), ("RATES_ODDS", BANK.rates_odds)):
         lines.append(f"#define {name} {{{', '.join(map(repr, values))}}}")
     return "\n".join([*lines, SOURCE.read_text(encoding="utf-8")])
 
 
 def points(low: float, high: float, step: float) -> np.ndarray:
     """Of a grid, from low on up to high, `step` apart."""
-    return low + step * np.arange(int((high - low + INSTANT) / step) + 1)
+    count = int((high - low + INSTANT) / step) + 1
+    return low + step * np.arange(count)
 
 
 def rates_of(age: Any, newer: Any) -> Any:
@@ -285,7 +320,8 @@ def _likeliest(found: dict[int, np.ndarray]) -> tuple[int, np.ndarray]:
 def _log_likelihood(sse: np.ndarray, n: float, product: float, square: float) -> np.ndarray:
     """Of n innovations; what one is worth by the correlation of successive ones."""
     rho = product / max(square, BANK.floor**2)
-    kappa = np.clip((1 - rho) / (1 + rho), BANK.least_information, BANK.most_information)
+    kappa = (1 - rho) / (1 + rho)
+    kappa = np.clip(kappa, BANK.least_information, BANK.most_information)
     return -kappa * n / 2 * np.log(sse / n + BANK.floor)
 
 
@@ -296,5 +332,6 @@ def _summary(share: np.ndarray, grid: np.ndarray, step: float, beside: float) ->
     mean = share @ grid
     deviation = np.sqrt(share @ (grid - mean) ** 2 + step**2 / 12)
     ends = np.append(grid - step / 2, grid[-1] + step / 2)
-    low, high = np.interp(QUANTILES, np.append(0, share.cumsum()), ends)
+    below = np.append(0, share.cumsum())
+    low, high = np.interp(QUANTILES, below, ends)
     return mean, deviation, max(low - beside / 2, 0.0), high + beside / 2

@@ -43,7 +43,8 @@ def reading_weights(period: float, count: int, age: np.ndarray) -> np.ndarray:
     between them (trapezoid rule), and a little beyond the newest, too."""
     whole = np.maximum(np.floor(age / period + INSTANT), 0).astype(int)
     part = age / period - whole
-    weights, rows = np.zeros((len(age), count)), np.arange(len(age))
+    weights = np.zeros((len(age), count))
+    rows = np.arange(len(age))
     weights[rows, whole] = (1 - part) ** 2 / 2
     weights[rows, whole + 1] = 0.5 + part - part**2
     weights[rows, whole + 2] = part**2 / 2

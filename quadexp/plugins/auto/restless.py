@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from statistics import median
+from typing import Any
 
 from quadexp.report.notes import Row, known_values
 from quadexp.report.pairing import Contestant, condition_of, setting_pairs
@@ -19,15 +20,19 @@ def restless(flights: Mapping[Contestant, Sequence[Row]], labels: Mapping[Contes
     lines = []
     for who, without in _with_auto(flights):
         for name, what in (("command_change", "commands change"), ("charge_used", "the battery is used")):
-            before, after = (
-                {(condition_of(row), row["seed"]): value for value, row in known_values(flights[each], name)}
-                for each in (without, who)
-            )
+            before = _values(flights[without], name)
+            after = _values(flights[who], name)
             ratios = [value / before[pair] for pair, value in after.items() if before.get(pair)]
-            if ratios and (ratio := median(ratios)) > RESTLESS:
-                pairs_text = f"in the median of {count(len(ratios), 'pair')}"
-                lines.append(f"{labels[who]}: {what} {ratio:.2g} times as much as of {labels[without]}, {pairs_text}")
+            if ratios and median(ratios) > RESTLESS:
+                times = f"{median(ratios):.2g} times as much as of {labels[without]}"
+                pairs = f"in the median of {count(len(ratios), 'pair')}"
+                lines.append(f"{labels[who]}: {what} {times}, {pairs}")
     return lines
+
+
+def _values(rows: Sequence[Row], name: str) -> dict[Any, float]:
+    """A metric of each flight, by condition and seed."""
+    return {(condition_of(row), row["seed"]): value for value, row in known_values(rows, name)}
 
 
 def _with_auto(contestants: Iterable[Contestant]) -> Iterator[tuple[Contestant, Contestant]]:

@@ -233,7 +233,7 @@ def test_the_prediction_that_may_change_is_that_of_fixed_times(vehicle, rng, dea
     weights = span_weights(len(free.sent.values), settings.control_period)
     numbers = prediction_numbers("ahead", weights, free.ahead.parts, (0.0, dead_time), dead_time, lag)
     numbers["delivered"] = weights([dead_time, dead_time, dead_time, lag])
-    for name, array in (free.ahead.tuned("ahead") | {"delivered": free.delivered.tuned}).items():
+    for name, array in (free.ahead.tuned("ahead") | {"delivered": free.delivered.arguments["weights"]}).items():
         array[...] = np.array(ca.DM(numbers[name])).T.reshape(array.shape)
     x = np.r_[1.0, 2, 3, 1, 0, 0, 0, 2, -1, 0.5, 0.3, 0.2, -0.4]
     ours, theirs = free.predict(x), fixed.predict(x)

@@ -22,7 +22,7 @@ PERIOD = 0.02
 
 def bank_of(vehicle, **about):
     model = no_residual(vehicle)
-    about = {"noise": (0.05, 0.0, 0.0)} | about
+    about = {"noise": (0.05, 0.0, 0.0), "spans": (0.0, 0.0)} | about
     return Bank(vehicle, model, np.zeros(model.function.size1_in(1)), PERIOD, "interpreted", **about)
 
 
@@ -279,7 +279,7 @@ def test_attitudes_tell_their_age_against_rates(vehicle, age, of_rates):
     noise = 0.005, 0.0035
     model = no_residual(vehicle)
     given = vehicle, model, np.zeros(model.function.size1_in(1)), PERIOD / 2, "interpreted", (0.05, *noise)
-    bank = Bank(*given)
+    bank = Bank(*given, spans=(0.0, 0.0))
     t = fine * np.arange(600)
     turns = sum(rng.normal(size=3) * np.sin(f * t[:, None] + rng.normal(size=3)) for f in (3.0, 7.0, 11.0))
     attitudes = [Rotation.identity()]

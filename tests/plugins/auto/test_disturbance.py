@@ -11,16 +11,9 @@ from quadexp.control.control_step import run
 from quadexp.models.residual import no_residual
 from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.physics.state import RATE
-from quadexp.plugins.auto.disturbance import (
-    DEVIATIONS,
-    FORCE,
-    N_ESTIMATE,
-    SCALE,
-    DisturbanceFilter,
-    sources,
-    speeds_tell,
-)
+from quadexp.plugins.auto.disturbance import DEVIATIONS, DisturbanceFilter
 from quadexp.plugins.auto.settings import DISTURBANCE, SPEEDS
+from quadexp.plugins.auto.sources import FORCE, N_ESTIMATE, SCALE, sources, speeds_tell
 
 PERIOD, NOISE = 0.02, 0.05
 
