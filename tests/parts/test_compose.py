@@ -223,7 +223,7 @@ MISTAKES = {
     "trajectory.sped=3": r"trajectory.sped: no such key; did you mean trajectory.speed\?",
     "controler=nominal_mpc": r"controler: no such key; did you mean controller\?",
     "controller=nominalmpc": r"controller=nominalmpc: no such controller; did you mean nominal_mpc\?",
-    "controller=zzz": "no such controller; there are: .*linear_drag_mpc, .*nominal_mpc",
+    "controller=zzz": "no such controller; there are: .*linear_drag_mpc, ",
     "experiment=nope": "no such experiment; there are: ",
     "zzzz=3": "zzzz: no such key; there are:",
     "mass=1": r"mass: no such key; did you mean vehicle.mass or truth.mass\?",

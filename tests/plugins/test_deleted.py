@@ -94,7 +94,7 @@ def test_the_core_does_its_work_without_all_of_them(checkout):
         (("new", "remedy", "mine"), "new remedy: must be one of vehicle, trajectory, plant, model, controller"),
         (("simulate", *FLIGHT, "observer=disturbance"), "observer: no installed plug-in has this group"),
         (("evaluate", "--sweep", "--figures", *FLIGHT, "--out", "again"), "--figures: no installed plug-in"),
-        (("simulate", *FLIGHT, "world=everything"), "battery=quick_sag: no installed plug-in has this"),
+        (("simulate", *FLIGHT, "world=everything"), "wind=dryden: the plug-in quadexp/plugins/worlds is not there"),
         (("simulate", *FLIGHT, "timing.age=0.01"), "timing.age=0.01: nothing in this configuration uses it"),
         (("evaluate", *FLIGHT, "evaluate.workers=1"), "is not used by evaluate; add --sweep"),
         (("results", "a", "--html", "a.html"), "No such option: --html"),
