@@ -77,11 +77,7 @@ ZERO = (0.0, 0.0, 0.0)
 N_EFFECTS = 11  # numbers of `parameters`
 LINEAR_DRAG = slice(0, 3)
 QUADRATIC_DRAG = slice(3, 6)
-LOSS = 6
-MOTOR_NOISE = 7
-FORCE_NOISE = 8
-TORQUE_NOISE = 9
-LIFT = 10
+LOSS, MOTOR_NOISE, FORCE_NOISE, TORQUE_NOISE, LIFT = range(6, 11)  # places, as those above
 
 
 @keyed

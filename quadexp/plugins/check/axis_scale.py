@@ -43,7 +43,7 @@ LEAST_UNIT = 0.5  # of position and velocity against the force, which an attitud
 LEAST_OF_ALL = 0.015  # of the three axes of a gyro together
 # Of a force beside the thrust, an attitude that leans with the motion makes as much (share, m/s^2 root mean square).
 LATERAL = 0.1
-LATERAL_EFFECT = 0.1
+LATERAL_EFFECT = 0.1  # m/s^2
 LATERAL_SAID = 0.065  # m/s^2: sound flights of NanoBench have up to 0.060. A warning, which names both
 LEANS = "or the attitude leans with the motion, which looks the same"
 

@@ -34,7 +34,7 @@ THRUST_MARGIN = 2.0  # times the largest thrust: knocks and vibration besides
 HARD_LIMIT = 320.0  # m/s^2: a 32 g accelerometer
 CLEARANCE = 0.5  # m that a flight is above where it rests
 GROUND = 0.02  # share of the samples at rest
-GROUND_BLOCKS = 0.05
+GROUND_BLOCKS = 0.05  # share from which on nothing is fitted
 CLOCK = ("clock_repeated", "clock_jump")
 # Faults of samples, of which the finding `inconsistent` is a symptom.
 BROKEN = {"acceleration_outlier", "rate_outlier", "position_outlier", "velocity_outlier", "frozen_sensor",

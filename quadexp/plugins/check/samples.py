@@ -15,7 +15,7 @@ from quadexp.plugins.logs.signal.windows import STREAMS, attitude_rate
 from quadexp.report.text import count as counted
 
 NORM = 0.01  # of a quaternion: what rounding to two digits leaves
-NORM_BLOCKS = 0.1
+NORM_BLOCKS = 0.1  # from which on it is no rotation
 FROZEN = 0.2  # s
 LEAST_ROWS = 8  # fewer equal values in a row may be a coarse sensor's
 FROZEN_BLOCKS = 0.02  # share of the samples

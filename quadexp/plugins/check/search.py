@@ -31,10 +31,9 @@ from quadexp.plugins.logs.signal.windows import Windows
 
 MARGIN = 10.0  # log units: clean flights of every kind at hand stay below 2
 PER_COST = 4.5  # log units a unit of cost: a candidate that claims more must explain more
-# Log units by which a candidate changes a relation.
-BETTERS = 3.0
-WORSENS = 1.0
-RUINS = 30.0
+BETTERS = 3.0  # log units by which a candidate changes a relation
+WORSENS = 1.0  # likewise
+RUINS = 30.0  # log units, likewise
 MOST_FAULTS = 4  # named one by one, each a search of its own
 MEASURED = ("scale", "heading")
 CALIBRATIONS = {"mounting", "bias", "scale"}
