@@ -36,7 +36,7 @@ Of these a name stands for words, and no place:
     modules    the name that a module had, for one release more -> its name
     kinds      a kind of tables -> the command that makes it, and what it is called
     templates  what `quadexp new` begins -> example, option and class of it (quadexp/cli/extend.py)
-    advice     what is asked for -> the end of a message that it is not there, with {} for its place
+    advice     what is asked for -> what a message adds where it is not there; {} is where it was looked for
 
 A name of this program is looked for first, so that what ships needs no look at what is installed. That look reads the
 files entry_points.txt of sys.path itself: importlib.metadata, which does the same, takes as long to import as all the

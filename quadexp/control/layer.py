@@ -125,7 +125,7 @@ class Layer(WrappedController):
         if "belief" in self.results:
             self._check_believing()
             if in_calls(wrapped):
-                self.results["belief"] = wrapped.believed_numbers  # type: ignore[attr-defined]
+                self.results["belief"] = wrapped.believed_numbers  # type: ignore[attr-defined]  # as checked
 
     def _check_believing(self) -> None:
         """Raise UsageError where the belief would reach nobody."""
@@ -201,7 +201,7 @@ class Layer(WrappedController):
         belief = self.results.get("belief")
         if belief is None or in_calls(wrapped):
             return []
-        return [python(lambda: wrapped.believe(belief_of(belief)))]  # type: ignore[attr-defined]
+        return [python(lambda: wrapped.believe(belief_of(belief)))]  # type: ignore[attr-defined]  # as checked
 
     def log(self) -> dict[str, float]:
         """See Controller.log."""

@@ -1,4 +1,4 @@
-"""What a stranger gets wrong in a part of one's own: each mistake is one line that names it, and none flies on.
+"""Mistakes in a user's part: each is said in one line that names it, and nothing is flown.
 
 Python and CasADi take most of these without a word: a misspelt hook does nothing, float of an expression is NaN.
 """

@@ -143,7 +143,7 @@ def test_workers_of_a_sweep_fly_it(own_pid, tmp_path):
 
 
 def test_every_way_of_asking_agrees(own_pid, tmp_path):
-    """Python, the loop of one's own, the listing, the completion."""
+    """From Python, in a loop that the user steps, in the list of options, in completions."""
     kind = type(compose(["controller=pid"], own_pid).controller)
     flight = qx.simulate(*QUICK, controller="pid", conf=str(own_pid))
     assert flight.record["classes"]["controller"] == f"{kind.__module__}.{kind.__name__}"

@@ -1,4 +1,4 @@
-"""What is said of the margins of a loop."""
+"""Texts about the margins of a loop, for pages and tables."""
 
 from __future__ import annotations
 
