@@ -3,7 +3,9 @@ acts.
 
     late -> now -> observer of the force, given to the law -> in dead time and lag -> law
 
-A law that cannot be given a force or wind is given the delays only.
+A law that cannot be given a force or wind is given the delays only. The state is predicted with the likeliest force,
+with evidence for it or without: else a law with a gain k on the velocity would be off 1 + k T times as far under a
+steady force, T the time that is predicted over, as behind any Smith predictor (1957).
 
 Where the velocity of the path jumps, a law would ask for more than the vehicle has, tilt it beyond the horizontal and
 fall. So what is given goes over to the path behind the jump already before it, with an offset e that makes both ends
@@ -90,10 +92,10 @@ class AutoLaw(Auto):
         calls.append(call(connected(self._later, places, left, self._jumps)))
         step = control_step_of(self.wrapped, inside, then)
         if self.believes:
-            belief, path = self._assume.arguments.values()
+            belief, path, likely = self._assume.arguments.values()
             believed = self.wrapped.believed_numbers
             calls += [copy(belief, believed), copy(path, inside.path)]
-            calls.append(call(self._assume))
+            calls += [copy(likely, self._filter.likely), call(self._assume)]
             calls.append(copy(believed[:3], self._assume.results["force"]))
         calls += step.calls
         return step._replace(calls=calls, memory=(*step.memory, self._jumps))
@@ -203,8 +205,9 @@ def world_of(vehicle: Vehicle) -> ca.Function:
     """What a law is given a force, and the prediction of the world: push (6,), acceleration, world, and angular
     acceleration, body; wind (3,); scale of the thrust.
 
-    belief: (11,). path (3, 5): position .. snap, that the law is given. A force F is given as far as there is thrust
-    left beside what the path takes, with b = m (a + g e_z) the largest share s of it, up to 1, for which
+    belief: (11,). path (3, 5): position .. snap, that the law is given. likely: see DisturbanceFilter. A force F is
+    given as far as there is thrust left beside what the path takes, with b = m (a + g e_z) the largest share s of it,
+    up to 1, for which
 
         |b - s F| <= TURNING n T_max
 
@@ -212,6 +215,7 @@ def world_of(vehicle: Vehicle) -> ca.Function:
     """
     belief = ca.SX.sym("belief", N_BELIEF)
     path = ca.SX.sym("path", 3, DERIVATIVES)
+    likely = ca.SX.sym("likely", 3)
     force, torque, wind, scale, _ = ca.vertsplit(belief, [0, 3, 6, 9, 10, N_BELIEF])
     spin = ca.inv(ca.DM(vehicle.inertia_matrix)) @ torque
     specific = path[:, 2] + ca.vertcat(0, 0, vehicle.gravity)
@@ -222,6 +226,6 @@ def world_of(vehicle: Vehicle) -> ca.Function:
     room = along**2 + square * (most**2 - ca.sumsqr(taken))
     root = ca.sqrt(ca.fmax(room, 0))
     share = limited((along + root) / square, 0, 1)
-    push = ca.vertcat(force / vehicle.mass, spin)
+    push = ca.vertcat(likely, spin)
     results = {"push": push, "wind": wind, "scale": scale, "force": share * force}
-    return named_function("believed_push", {"belief": belief, "path": path}, results)
+    return named_function("believed_push", {"belief": belief, "path": path, "likely": likely}, results)

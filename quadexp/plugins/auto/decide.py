@@ -193,8 +193,7 @@ def decision_function(
     saturated = ca.sum1(off > s.at_limit * (high - low) / 2) / commands
     share = looks * ca.if_else(soon, s.soonest, s.checks) / s.corners_memory
     saturates = kept["saturates"] + share * (saturated - kept["saturates"])
-    is_measured = elapsed > BANK.measured_after + rounding
-    position = ca.sqrt(ca.fmax(a["noise"][1], 0)) * is_measured
+    position = ca.sqrt(ca.fmax(a["noise"][1], 0))
     busy = ca.vertcat(position > s.large_noise, saturated > s.saturated, saturates > s.saturates)
     enough = (a["count"] >= s.few_readings) * (position < s.soft_noise)
     statistics = Statistics(busy=ca.mmax(busy), acts=enough * (ca.mmax(a["acts"]) > 0), enough=enough)

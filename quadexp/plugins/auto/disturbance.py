@@ -58,10 +58,11 @@ OF_ROTORS = "thrusts"  # the last ones by rotor speeds (N), remembered too
 class DisturbanceFilter:
     """Its calls stand `before` the controller's; `start` begins a flight.
 
-    belief: (11,), see control.base.Belief. deviations: see DEVIATIONS. acts: (3,), whether a disturbance across the
-    thrust, one along it, and a torque are assumed. given: arrays of the uncertainty of the commands' delay, timing, by
-    which age and delays cannot be distinguished, `apart`, by which an age is off that acts, `late`, of age, dead time
-    and lag that act, `delays` (s), and of variances that a bank has measured, lateral, noise.
+    belief: (11,), see control.base.Belief. likely: (3,), acceleration (m/s^2, world) by the force, or where none is
+    assumed by the likeliest one, with what is of the scale. deviations: see DEVIATIONS. acts: (3,), whether a
+    disturbance across the thrust, one along it, and a torque are assumed. given: arrays of the uncertainty of the
+    commands' delay, timing, by which age and delays cannot be distinguished, `apart`, by which an age is off that acts,
+    `late`, of age, dead time and lag that act, `delays` (s), and of variances that a bank has measured, lateral, noise.
     """
 
     def __init__(
@@ -82,11 +83,13 @@ class DisturbanceFilter:
         self._initial = np.square(known.initial)
         self.belief = np.zeros(N_BELIEF)
         self.deviations = np.zeros(len(DEVIATIONS))
+        self.likely = np.zeros(3)
         self.acts = self.memory.of_now["acts"]
 
     def assume_nothing(self) -> None:
         """As a flight begins."""
         self.belief[...] = NO_BELIEF
+        self.likely[...] = 0
         self.deviations[...] = np.nan
 
     def start(self, x: np.ndarray) -> dict[str, np.ndarray]:
@@ -95,16 +98,16 @@ class DisturbanceFilter:
         return {"covariance": covariance, "rates": np.tile(x[RATE], TORQUES)}
 
     def before(self, known: dict[str, np.ndarray], read: np.ndarray) -> list[Call]:
-        """Leaves belief and deviations. known: arrays with the state x (13,), the reading (3,), thrust and mean,
-        delivered then and over the last period, (n,) (N), of one time."""
+        """Leaves belief, likely and deviations. known: arrays with the state x (13,), the reading (3,), thrust and
+        mean, delivered then and over the last period, (n,) (N), of one time."""
         given = {**self._places, **known, "read": read}
-        found = {"belief": self.belief, "deviations": self.deviations}
+        found = {"belief": self.belief, "deviations": self.deviations, "likely": self.likely}
         return [call(connected(self._function, given, found, self.memory))]
 
 
 def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, known: Sources) -> ca.Function:
-    """Memory, belief and deviations after an instant; see DisturbanceFilter. noise: of the bank, variances of a reading
-    across the thrust, of position and attitude. Memory: SIZES, and whether anything has been read."""
+    """Memory, belief, likely and deviations after an instant; see DisturbanceFilter. noise: of the bank, variances of
+    a reading across the thrust, of position and attitude. Memory: SIZES, and whether anything has been read."""
     n, s = vehicle.n_rotors, DISTURBANCE
     sizes = SIZES | {OF_ROTORS: n}
     shapes = {NOW + name: size for name, size in sizes.items()}
@@ -255,6 +258,9 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     force = vehicle.mass * (R @ along_body @ rest[FORCE])
     belief = ca.vertcat(force, acts[2] * (inertia @ torque), wind[WIND])
     belief = ca.vertcat(belief, 1 + rest[SCALE], 1 + rest[AIR])
+    by_scale = ca.vertcat(0, 0, level[SCALE] * specific)
+    likeliest = R @ (along_body @ level[FORCE] + by_scale)
+    likely = ca.if_else(ca.mmax(acts[:2]), force / vehicle.mass, likeliest)
 
     # deviations of what is assumed, beside those of the filter what it leaves out
     def spread(of: ca.MX, number: int) -> ca.MX:
@@ -301,6 +307,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     results[f"{NEXT}flown"] = ca.MX(1)
     results["belief"] = ca.if_else(flown, belief, ca.DM(NO_BELIEF))
     results["deviations"] = ca.if_else(flown, deviations, math.nan)
+    results["likely"] = flown * likely
     return named_function("disturbance", a, results)
 
 
