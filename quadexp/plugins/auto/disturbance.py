@@ -243,9 +243,10 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     of_level, of_lift = ca.mmax(evidence[::2]), ca.mmax(evidence[1::2])
     odds = ca.vertcat(of_level, of_lift, ca.mmax(torque_evidence))
     needed = s.evidence_on * (1 - kept["acts"])
-    if known.by_speeds:  # prompt, also where rates are of a time that is not known yet
+    if known.by_speeds:  # also where rates are of a time that is not known yet; force and scale share what they explain
         acts = (odds > needed) * ca.vertcat(1, 1, a["late"] < s.torque_timed)
-        acts = ca.vertcat(1, 1, acts[2])
+        any_force = ca.mmax(acts[:2])
+        acts = ca.vertcat(any_force, any_force, acts[2])
     else:
         # torques are compared with the state, whose age is distinguished from the delay of readings, and thrusts with
         # readings
