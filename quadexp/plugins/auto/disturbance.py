@@ -242,7 +242,8 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     torque = _likeliest(torque_evidence, torques[1:])
     of_level, of_lift = ca.mmax(evidence[::2]), ca.mmax(evidence[1::2])
     odds = ca.vertcat(of_level, of_lift, ca.mmax(torque_evidence))
-    needed = s.evidence_on * (1 - kept["acts"])
+    evidence_on = SPEEDS.evidence_on if known.by_speeds else s.evidence_on
+    needed = evidence_on * (1 - kept["acts"])
     if known.by_speeds:  # also where rates are of a time that is not known yet; force and scale share what they explain
         acts = (odds > needed) * ca.vertcat(1, 1, a["late"] < s.torque_timed)
         any_force = ca.mmax(acts[:2])

@@ -113,6 +113,7 @@ class SpeedSettings:
     force_walk: float = 1.5  # m/s^2/sqrt(s)
     most_force: float = 50.0  # m/s^2
     most_force_bandwidth: float = 100.0  # rad/s: measured thrusts are no loop
+    evidence_on: float = 3.0  # log likelihood ratio from which a disturbance acts: strong, since thrusts are measured
     scale_initial: float = 0.3  # of a mass and a thrust coefficient that nobody measured
     air_walk: float = 0.01  # 1/sqrt(s), of the scale of the model's air
     air_initial: float = 1.0
