@@ -242,7 +242,8 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     needed = s.evidence_on * (1 - kept["acts"])
     if known.by_speeds:  # prompt, also where rates are of a time that is not known yet
         acts = (odds > needed) * ca.vertcat(1, 1, a["late"] < s.torque_timed)
-        acts = ca.vertcat(1, 1, acts[2])
+        was_read = ca.fmax(read, kept["acts"][0])
+        acts = ca.vertcat(was_read, was_read, acts[2])
     else:
         # torques are compared with the state, whose age is distinguished from the delay of readings, and thrusts with
         # readings
