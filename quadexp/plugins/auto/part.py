@@ -33,7 +33,7 @@ class AutoPart(Compensation):
         if settings.dead_time or settings.known_lag:
             raise UsageError(
                 f"delay={self.name}: finds dead time and lag itself; controller.dead_time, controller.motor_lag and"
-                " controller.motor_lead must be 0"
+                " controller.motor_lead must be 0: leave out motor=.. and timing.*, which set them"
             )
         if settings.input_hold == "command":
             raise UsageError(f"delay={self.name}: plans with controller.input_hold=deviation only")

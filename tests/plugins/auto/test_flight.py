@@ -420,6 +420,10 @@ def test_a_law_flies_corners_in_wind(sensor, seed):
     ("given", "said"),
     [
         (["controller=nominal_mpc", "controller.dead_time=0.01"], "finds dead time and lag itself"),
+        (
+            ["controller=nominal_mpc", "timing.motor_lag=0.02"],
+            r"finds .*: leave out motor=\.\. and timing\.\*, which set them",
+        ),
         (["controller=nominal_mpc", "controller.input_hold=command"], "plans with controller.input_hold=deviation"),
         (["controller=nominal_mpc", "observer=disturbance"], ".*; set observer=none$"),
         (["controller=nominal_mpc", "adaptive=l1", "rate_loop=indi"], ".*; set adaptive=none and rate_loop=none$"),

@@ -38,6 +38,16 @@ def test_a_force_is_forgotten_once_no_reading_shows_it(words):
     assert position_error(auto).mean() < 0.8 * position_error(none).mean()
 
 
+def test_rotor_speeds_alone_are_no_evidence_of_a_force():
+    """Without any reading of the accelerometer a force was said to act, and a stiffer horizon flew: lost, in a world of
+    wind and delays, or 5 times as far off as without."""
+    words = ["controller=perfect_mpc", "vehicle=hummingbird", "world=only_motor_lag", "trajectory.speed=4", "seed=7"]
+    with missing_readings(0, when=lambda t: True):
+        flight = flown(*words, "remedies=auto")
+    assert np.ptp(flight["rotor_speed_0"]) > 0  # they are there
+    assert not flight["auto_acts_lateral"].any() and not flight["auto_grid"].any()
+
+
 @pytest.mark.parametrize("age", [0.05, 0.03])
 def test_an_age_in_a_quiet_hover_is_in_its_interval(age):
     """Of exact sensors: an assumed noise of the velocity hid how readings scatter between two instants, and ages were
