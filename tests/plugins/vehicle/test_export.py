@@ -188,6 +188,24 @@ def test_a_folder_that_was_changed_is_refused(folders: dict[str, Path], tmp_path
         exported(folder)
 
 
+@pytest.mark.parametrize("key", ["period", "vehicle", "files"])
+def test_a_manifest_that_was_changed_is_refused(folders: dict[str, Path], tmp_path: Path, key: str) -> None:
+    folder = copied(folders["law"], tmp_path)
+    about = json.loads((folder / "model.json").read_text())
+    about[key] = {"period": 0.02, "vehicle": None, "files": {}}[key]
+    (folder / "model.json").write_text(json.dumps(about, indent=1, sort_keys=True) + "\n")
+    with pytest.raises(DataError, match=r"model\.json: is not as it was exported"):
+        exported(folder)
+
+
+def test_hover_has_an_error_of_rounding_only(tmp_path: Path) -> None:
+    settings = ("controller=perfect_mpc", "trajectory=hover", "trajectory.duration=1", "plant=ideal")
+    assert requests.simulate(settings).flight.metadata["row"]["mean_error"] < 1e-9  # m
+    export_controller(settings, tmp_path / "c")
+    done = run(tmp_path / "c")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def test_another_vehicle_is_refused(folders: dict[str, Path]) -> None:
     with pytest.raises(DataError, match="exported for vehicle 'torrente'"):
         flown("controller=exported", f"model={folders['law']}", "vehicle=crazyflie")
