@@ -36,6 +36,7 @@ OBSERVING = ("controller=nominal_mpc", "observer=disturbance", "rate_loop=indi",
 WINDY = (*OBSERVING, "wind=gust", "trajectory=circle", "trajectory.speed=4", *QUICK)
 CASES = {"mpc": MPC, "law": LAW, "observing": WINDY}
 FOUND = ("remedies=auto", "world=everything", "trajectory=circle", "trajectory.speed=4", *QUICK)
+PLACES = "one", "other"  # of two exports in one build
 AUTO = {"auto": ("controller=nominal_mpc", *FOUND), "auto_law": ("controller=geometric", *FOUND)}
 
 
@@ -149,6 +150,28 @@ def test_sources_of_the_bench_are_copied(folders: dict[str, Path]) -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_sanitizers(folders: dict[str, Path], name: str) -> None:
     done = run(folders[name], "sanitize")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.skipif(shutil.which("clang") is None, reason="needs clang")
+def test_clang_has_no_warning(folders: dict[str, Path], tmp_path: Path) -> None:
+    done = run(copied(folders["mpc"], tmp_path), "lib", CC="clang")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="needs cmake")
+def test_two_exports_are_in_one_build(folders: dict[str, Path], tmp_path: Path) -> None:
+    export_controller(("controller=pid", "trajectory=hover", "trajectory.duration=1"), tmp_path / PLACES[1], prefix="p")
+    shutil.copytree(folders["mpc"], tmp_path / PLACES[0], ignore=shutil.ignore_patterns("*.o", "check"))
+    lines = (
+        "cmake_minimum_required(VERSION 3.13)",
+        "project(both C)",
+        "add_subdirectory(one)",
+        "add_subdirectory(other)",
+    )
+    (tmp_path / "CMakeLists.txt").write_text("\n".join(lines))
+    command = ["cmake", "-S", tmp_path, "-B", tmp_path / "build"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
