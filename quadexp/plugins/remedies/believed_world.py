@@ -157,7 +157,8 @@ class BelievedWorld:
         if self._air_scale is not None:
             calls.append(copy(self._air_scale, self.numbers[10:]))
         if not self._in_place:
-            calls.append(copy(X[:, :N_STATE], result_places["X_in"]))
+            states = zip(X, result_places["X_in"], strict=True)  # by rows: of rotors that lag there are thrusts behind
+            calls += [copy(row[:N_STATE], state) for row, state in states]
             calls.append(copy(U, result_places["U_in"]))
         return calls, result_places["x_in"]
 

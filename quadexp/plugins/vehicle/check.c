@@ -102,8 +102,8 @@ static int closed(const char *folder) {
     fclose(vectors), fclose(plant);
     error /= steps ? steps : 1;
     error_recorded = MEAN_ERROR;
-    const double share = fabs(error - error_recorded) / error_recorded;
-    const int fine = steps > 0 && apart <= PATH_LIMIT && share <= ERROR_SHARE;
+    const double allowed = ERROR_SHARE * error_recorded + ROUNDING;
+    const int fine = steps > 0 && apart <= PATH_LIMIT && fabs(error - error_recorded) <= allowed;
     printf("closed loop   %d steps, paths at most %.2g m apart (at most %.2g), mean error %.6g mm, of the bench %.6g mm"
            ": %s\n", steps, apart, PATH_LIMIT, 1e3 * error, 1e3 * error_recorded, fine ? "ok" : "FAILED");
     return fine;

@@ -84,8 +84,8 @@ def fly(
         about = flight.metadata
         record, lines = dict(about["row"]), [*flight_lines(about), f"firmware    {about['autopilot']}"]
     else:
-        if firmware is not None or rc_rate:
-            raise UsageError(f"fly {target}: --firmware and --rc-rate are for betaflight")
+        if firmware is not None or (rc_rate, rc_steps, ahead) != (0.0, 1000, 0.04):
+            raise UsageError(f"fly {target}: --firmware, --rc-rate, --rc-steps, --ahead are for betaflight")
         from quadexp.plugins.vehicle.mavlink.session import Asked, fly_mavlink
 
         flight = fly_mavlink(target, overrides, conf, Asked(thrust, rates, arm, vehicle_is_real, lockstep))

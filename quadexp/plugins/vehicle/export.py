@@ -37,10 +37,11 @@ from quadexp.provenance import versions
 from quadexp.writer import check_output, write_folder
 
 MANIFEST = "model.json"
-FORMAT = 3  # of the folder
+FORMAT = 4  # of the folder
 REPLAY = {"double": 1e-9, "float": 0.02}  # N, of a step on recorded inputs
 PATHS = {"double": 1e-9, "float": 1.0}  # m, between the path of the bench and that of C
 ERRORS = {"double": 1e-6, "float": 0.01}  # share of the mean tracking error
+ROUNDING = {"double": 1e-9, "float": 1e-5}  # m, beside that: hover has no error but what is rounded
 
 
 def export_controller(
@@ -168,6 +169,7 @@ def checked_files(
         error = float(np.linalg.norm(flown - along, axis=1).mean())
         rows += plant_lines(function, period.arguments, plant, len(flight.first))
         rows += [f"#define PATH_LIMIT {PATHS[names.real]!r} /* m */", f"#define ERROR_SHARE {ERRORS[names.real]!r}"]
+        rows += [f"#define ROUNDING {ROUNDING[names.real]!r} /* m */"]
         rows += [f"#define MEAN_ERROR {error!r} /* m */"]
         parts = [start, flight.first]
         for context, position in zip(contexts, flight.positions, strict=True):
@@ -224,8 +226,8 @@ def description(config: Config, controller: Any, names: generate.Names) -> list[
 def manifest(
     config: Config, controller: Any, names: generate.Names, files: Mapping[str, str | bytes]
 ) -> dict[str, str | bytes]:
-    """What the bench needs to fly the folder: settings, versions, the hash of every file; and the model of the air of
-    its references."""
+    """What the bench needs to fly the folder: settings, versions, the hash of every file, and its own; and the model of
+    the air of its references."""
     residual = controller.residual
     air: dict[str, Any] = {}
     if residual is not None:
@@ -247,4 +249,9 @@ def manifest(
         "versions": versions(),
         "files": {name: sha256_of(content) for name, content in sorted(files.items())},
     }
-    return {MANIFEST: json.dumps(content, indent=1, sort_keys=True) + "\n"}
+    return {MANIFEST: as_text(content | {"sha256": sha256_of(as_text(content))})}
+
+
+def as_text(content: Mapping[str, Any]) -> str:
+    """The manifest, the same text for the same content."""
+    return json.dumps(content, indent=1, sort_keys=True) + "\n"

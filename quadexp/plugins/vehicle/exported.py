@@ -25,7 +25,7 @@ from quadexp.models.residual import Residual
 from quadexp.names import sha256_of
 from quadexp.parts.settings import keyed
 from quadexp.physics.vehicle import Vehicle
-from quadexp.plugins.vehicle.export import FORMAT, MANIFEST
+from quadexp.plugins.vehicle.export import FORMAT, MANIFEST, as_text
 from quadexp.plugins.vehicle.record import packed
 from quadexp.plugins.vehicle.texts import SOURCES
 
@@ -137,6 +137,8 @@ def manifest_of(folder: Path) -> dict[str, Any]:
         ) from None
     if not known:
         raise DataError(f"{file}: is of format {about['exported']}, this program reads {FORMAT}: export it again")
+    if about.pop("sha256", "") != sha256_of(as_text(about)):
+        raise DataError(f"{file}: is not as it was exported; export it again")
     for name, content in files.items():
         path = folder / Path(name).name
         if not path.is_file() or sha256_of(path.read_bytes()) != content:

@@ -47,7 +47,7 @@ static int reading(integer which, const real *values, integer count) {
 }
 
 #ifndef NO_PLAN
-enum { UNSOLVED = 3 }; /* Status.FAILED of active_set.py */
+static const real UNSOLVED = 3; /* Status.FAILED of active_set.py */
 static const real CONVERGED = sizeof(real) == 8 ? (real)1e-6 : (real)1e-3; /* optimality residual; first_solve.py */
 static integer cold;
 

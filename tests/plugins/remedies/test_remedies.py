@@ -7,9 +7,11 @@ from itertools import product
 import numpy as np
 import pytest
 
+from quadexp.control.compiled_loop import goes_in_c
 from quadexp.errors import UsageError
 from quadexp.experiment.build import build_vehicle, build_world, check_remedies
 from quadexp.experiment.evaluate import fly_one
+from quadexp.loop import controller as python_loop
 from quadexp.parts.compose import compose
 from quadexp.parts.schema import controller_name
 
@@ -129,3 +131,11 @@ def test_a_scale_needs_the_thrusts_of_its_time(given, needed):
         check_remedies(config, vehicle, plant)
     with pytest.raises(UsageError, match=needed):
         fly_one(config)
+
+
+@pytest.mark.parametrize("observer", ["disturbance", "wind"])
+def test_an_observer_of_rotors_that_lag_flies_in_c(observer: str) -> None:
+    """Their thrusts are states behind those of the reference in the plan."""
+    lagging = ["motor=states", "timing.motor_lag=0.03", "controller.input_hold=deviation"]
+    loop = python_loop("controller=perfect_mpc", *FEW, *lagging, f"observer={observer}", "trajectory=hover")
+    assert goes_in_c(loop.controller) == (loop.controller.backend == "compiled")

@@ -25,7 +25,9 @@ PATIENCE = 60.0  # s, of a test
 
 class StandIn(threading.Thread):
     """loop: vehicle, plant and reference. whole: whether it has ODOMETRY. reset_at, silent_at: instants at which its
-    estimate is reset, and at which it falls silent. paced: whether its clock is the real one."""
+    estimate is reset, and at which it falls silent. paced: whether its clock is the real one. beside: datagrams of
+    others that come with every state. stamp: of a state at an instant of its clock (s). place: likewise, added to its
+    position (m)."""
 
     def __init__(self, loop: ControlLoop, port: int, messages: Any, **faults: Any) -> None:
         super().__init__(daemon=True)
@@ -34,6 +36,8 @@ class StandIn(threading.Thread):
         self.whole, self.reset_at = faults.get("whole", True), faults.get("reset_at", -1)
         self.paced = faults.get("paced", False)
         self.silent_at, self.arms = faults.get("silent_at", -1), faults.get("arms", False)
+        self.beside: tuple[bytes, ...] = faults.get("beside", ())
+        self.stamp, self.place = faults.get("stamp", lambda t: t), faults.get("place", lambda t: 0.0)
         self.errors, self.refused_early = list[float](), None
         self._mav = messages.MAVLink(None, srcSystem=1, srcComponent=1)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -90,13 +94,15 @@ class StandIn(threading.Thread):
         base |= kinds.MAV_MODE_FLAG_SAFETY_ARMED if self._armed else 0
         mode = 6 << 16 if self._offboard else 4 << 16
         state = kinds.MAV_STATE_ACTIVE
+        for datagram in self.beside:
+            self._socket.sendto(datagram, self._peer)
         self._send(kinds.MAVLink_heartbeat_message(kinds.MAV_TYPE_QUADROTOR, self.autopilot, base, mode, state, 3))
 
     def _tell(self, x: np.ndarray, t: float, resets: int) -> None:
         """A state, in the frames of an autopilot; its place is another than the reference's."""
         kinds, q = self.kinds, turned(x[ATTITUDE])
-        place = swapped(x[POSITION] + np.array([3.0, -2.0, 1.0]))
-        rates = FLIPPED * x[RATE]
+        place = swapped(x[POSITION] + np.array([3.0, -2.0, 1.0]) + self.place(t))
+        rates, t = FLIPPED * x[RATE], self.stamp(t)
         self._asked = round(1e3 * (5 + t))
         if self.whole:
             v = FLIPPED * air_velocity(x[ATTITUDE], x[VELOCITY])
@@ -135,6 +141,8 @@ class StandIn(threading.Thread):
             reference = loop.reference_state(min(k, len(loop.times) - 1) * loop.period)
             self.errors.append(float(np.linalg.norm(x[POSITION] - reference[POSITION])))
             self._answered = False
+            for datagram in self.beside:
+                self._socket.sendto(datagram, self._peer)
             self._tell(x, k * loop.period, int(k >= self.reset_at >= 0))
             while not (self._answered or self.paced):
                 if time.monotonic() > until:

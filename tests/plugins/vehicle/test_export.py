@@ -36,6 +36,7 @@ OBSERVING = ("controller=nominal_mpc", "observer=disturbance", "rate_loop=indi",
 WINDY = (*OBSERVING, "wind=gust", "trajectory=circle", "trajectory.speed=4", *QUICK)
 CASES = {"mpc": MPC, "law": LAW, "observing": WINDY}
 FOUND = ("remedies=auto", "world=everything", "trajectory=circle", "trajectory.speed=4", *QUICK)
+PLACES = "one", "other"  # of two exports in one build
 AUTO = {"auto": ("controller=nominal_mpc", *FOUND), "auto_law": ("controller=geometric", *FOUND)}
 
 
@@ -152,6 +153,28 @@ def test_sanitizers(folders: dict[str, Path], name: str) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.skipif(shutil.which("clang") is None, reason="needs clang")
+def test_clang_has_no_warning(folders: dict[str, Path], tmp_path: Path) -> None:
+    done = run(copied(folders["mpc"], tmp_path), "lib", CC="clang")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="needs cmake")
+def test_two_exports_are_in_one_build(folders: dict[str, Path], tmp_path: Path) -> None:
+    export_controller(("controller=pid", "trajectory=hover", "trajectory.duration=1"), tmp_path / PLACES[1], prefix="p")
+    shutil.copytree(folders["mpc"], tmp_path / PLACES[0], ignore=shutil.ignore_patterns("*.o", "check"))
+    lines = (
+        "cmake_minimum_required(VERSION 3.13)",
+        "project(both C)",
+        "add_subdirectory(one)",
+        "add_subdirectory(other)",
+    )
+    (tmp_path / "CMakeLists.txt").write_text("\n".join(lines))
+    command = ["cmake", "-S", tmp_path, "-B", tmp_path / "build"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 # -------------------------------------------------------------------------------------------------------- in the bench
 @pytest.mark.parametrize("name", CASES)
 def test_bench_flies_it_along_the_same_path(folders: dict[str, Path], name: str) -> None:
@@ -186,6 +209,24 @@ def test_a_folder_that_was_changed_is_refused(folders: dict[str, Path], tmp_path
     (folder / "loop.c").write_text((folder / "loop.c").read_text() + "\n")
     with pytest.raises(DataError, match=r"loop\.c: is not as it was exported"):
         exported(folder)
+
+
+@pytest.mark.parametrize("key", ["period", "vehicle", "files"])
+def test_a_manifest_that_was_changed_is_refused(folders: dict[str, Path], tmp_path: Path, key: str) -> None:
+    folder = copied(folders["law"], tmp_path)
+    about = json.loads((folder / "model.json").read_text())
+    about[key] = {"period": 0.02, "vehicle": None, "files": {}}[key]
+    (folder / "model.json").write_text(json.dumps(about, indent=1, sort_keys=True) + "\n")
+    with pytest.raises(DataError, match=r"model\.json: is not as it was exported"):
+        exported(folder)
+
+
+def test_hover_has_an_error_of_rounding_only(tmp_path: Path) -> None:
+    settings = ("controller=perfect_mpc", "trajectory=hover", "trajectory.duration=1", "plant=ideal")
+    assert requests.simulate(settings).flight.metadata["row"]["mean_error"] < 1e-9  # m
+    export_controller(settings, tmp_path / "c")
+    done = run(tmp_path / "c")
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_another_vehicle_is_refused(folders: dict[str, Path]) -> None:

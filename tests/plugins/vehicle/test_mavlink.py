@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import socket
 from dataclasses import replace
 from typing import Any
@@ -90,13 +91,56 @@ def test_predicted_rates_fly() -> None:
 
 @pytest.mark.parametrize(
     ("faults", "outcome", "said"),
-    [({"silent_at": 40}, "lost", "the link is silent"), ({"reset_at": 40}, "solver_failed", "estimate was reset")],
+    [
+        ({"silent_at": 40}, "lost", "the link is silent"),
+        ({"reset_at": 40}, "solver_failed", "estimate was reset"),
+        ({"place": lambda t: np.nan if t > 0.395 else 0.0}, "lost", "estimate is no number"),
+    ],
 )
 def test_it_ends_with_a_reason(faults: dict[str, Any], outcome: str, said: str) -> None:
     flight, _ = bridged("controller=geometric", **faults)
     assert flight.metadata["outcome"] == outcome
     assert said in flight.metadata["cause"]
     assert len(flight) == 40
+
+
+@pytest.mark.parametrize(
+    ("stamp", "said"),
+    [(lambda t: t + 100 * (t > 1.5), "the time of the states jumps by 100"), (lambda t: t - (t > 1.5), "is silent")],
+)
+def test_a_clock_that_jumps_ends_the_flight(stamp: Any, said: str) -> None:
+    flight, _ = bridged("controller=geometric", asked=replace(INVERSE, lockstep=False), paced=True, stamp=stamp)
+    assert flight.metadata["outcome"] == "lost"
+    assert said in flight.metadata["cause"]
+    assert len(flight) < 200
+
+
+def test_messages_of_others_are_ignored() -> None:
+    """A gimbal behind the same address, another vehicle, what is no message, half of one, one of another dialect."""
+    kinds = pytest.importorskip("pymavlink.dialects.v20.common")
+    gimbal = kinds.MAVLink_heartbeat_message(kinds.MAV_TYPE_GIMBAL, kinds.MAV_AUTOPILOT_INVALID, 0, 0, 4, 3)
+    unknown = [float("nan")] * 21
+    place, level = (90.0, 90.0, 90.0), [1.0, 0.0, 0.0, 0.0]
+    far = kinds.MAVLink_odometry_message(0, 1, 12, *place, level, 0, 0, 0, 0, 0, 0, unknown, unknown, 7, 0, 100)
+    of_gimbal = gimbal.pack(kinds.MAVLink(None, srcSystem=1, srcComponent=kinds.MAV_COMP_ID_GIMBAL))
+    of_other = far.pack(kinds.MAVLink(None, srcSystem=2, srcComponent=1))
+    of_dialect = of_gimbal[:7] + b"\x39\x30\x01" + of_gimbal[10:]
+    beside = of_gimbal, of_other, b"hello", of_other[:40], of_dialect
+    flight, stand_in = bridged("controller=geometric", beside=beside)
+    assert flight.metadata["outcome"] == "ok", flight.metadata["cause"]
+    assert logged_errors(flight) == pytest.approx(stand_in.errors, abs=1e-5)
+
+
+def test_a_flight_that_is_stopped_is_written() -> None:
+    def stop(t: float) -> float:
+        if 0.495 < t < 0.505:
+            signal.raise_signal(signal.SIGINT)
+        return 0.0
+
+    flight, _ = bridged("controller=geometric", place=stop)
+    assert (flight.metadata["outcome"], flight.metadata["cause"]) == ("lost", "stopped by Ctrl-C")
+    assert 49 <= len(flight) <= 51
+    assert np.isfinite(logged_errors(flight)).all()
 
 
 def test_another_autopilot_is_refused() -> None:

@@ -61,6 +61,11 @@ def fly_mavlink(target: str, overrides: Sequence[str], conf: Folders, asked: Ask
     try:
         session.prepare()
         outcome, cause = session.fly()
+    except KeyboardInterrupt:
+        if not session.times:
+            raise
+        outcome, cause = "lost", "stopped by Ctrl-C"
+        session.log.rows = len(session.times)  # without one that it was stopped in
     finally:
         session.link.close()
     if not session.times:
@@ -94,10 +99,12 @@ class Session:
     def prepare(self) -> None:
         """Find the autopilot, ask for its messages, stream, change the mode, arm. Raises QuadexpError."""
         kinds = self.kinds
-        beat = self.link.wait("HEARTBEAT", FIRST, lambda message: message.type != kinds.MAV_TYPE_GCS)
+        beat = self.link.wait(
+            "HEARTBEAT", FIRST, lambda message: message.autopilot != kinds.MAV_AUTOPILOT_INVALID
+        )  # not of a ground station, nor of a gimbal
         if beat.autopilot != kinds.MAV_AUTOPILOT_PX4:
             raise QuadexpError(f"the autopilot says that it is {beat.autopilot}: PX4 (12) is needed")
-        self.link.system = beat.get_srcSystem()
+        self.link.autopilot = beat.get_srcSystem(), beat.get_srcComponent()
         for name in ("ODOMETRY", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION", "HIGHRES_IMU"):
             number = getattr(kinds, f"MAVLINK_MSG_ID_{name}")
             answer = self.link.command(kinds.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 * self.loop.period)
@@ -129,13 +136,13 @@ class Session:
         roll, pitch, yaw = FLIPPED * rates
         share, no_attitude = self.shares.share(thrust), [1.0, 0.0, 0.0, 0.0]
         message = self.kinds.MAVLink_set_attitude_target_message
-        system = self.link.system
-        self.link.send(message(stamp & 0xFFFFFFFF, system, 1, RATES, no_attitude, roll, pitch, yaw, share))
+        stamp &= 0xFFFFFFFF
+        self.link.send(message(stamp, *self.link.autopilot, RATES, no_attitude, roll, pitch, yaw, share))
 
     def _hear(self, message: Any) -> tuple[float, np.ndarray] | None:
         """Time (s) and state of a message that completes one. Raises QuadexpError where the estimate was reset."""
         kind = message.get_type()
-        if kind == "HEARTBEAT" and message.type != self.kinds.MAV_TYPE_GCS:
+        if kind == "HEARTBEAT":
             self._armed = bool(message.base_mode & self.kinds.MAV_MODE_FLAG_SAFETY_ARMED)
             self._offboard = message.custom_mode >> 16 & 0xFF == OFFBOARD
         elif kind == "HIGHRES_IMU":
@@ -165,23 +172,26 @@ class Session:
                 ]
             except QuadexpError as error:
                 return "solver_failed", str(error)
-            arrived, waiting = time.monotonic(), []
-            if not states:
+            arrived, waiting, at = time.monotonic(), [], k
+            if states:
+                stamp, x = states[-1]
+                at = k + 1 if self.asked.lockstep or k < 0 else round((stamp - began) / loop.period)
+            if at <= k:
                 if arrived - heard > silent:
-                    return "lost", f"no state for {silent:g} s: the link is silent"
+                    return "lost", f"no new state for {silent:g} s: the link is silent"
                 continue
             heard = arrived
             if not (self._armed and self._offboard):
                 return "lost", "the autopilot left OFFBOARD, or was disarmed"
-            stamp, x = states[-1]
+            if k >= 0 and (at - k) * loop.period > silent:
+                return "lost", f"the time of the states jumps by {(at - k) * loop.period:.2f} s"
+            if not np.isfinite(x).all():
+                return "lost", "the autopilot's estimate is no number"
             if k < 0:
                 began, shift = stamp, x[POSITION] - loop.start[POSITION]
                 apart = float(heading(x[ATTITUDE]) - heading(loop.start[ATTITUDE]))
                 if abs(np.angle(np.exp(1j * apart))) > TURNED:
                     return "lost", f"the vehicle's heading is {apart:.2f} rad from the reference's: turn it first"
-            at = k + 1 if self.asked.lockstep or k < 0 else round((stamp - began) / loop.period)
-            if at <= k:
-                continue
             k = at
             if k >= len(loop.times):
                 return "ok", ""
@@ -205,8 +215,8 @@ class Session:
         reading = np.full(3, np.nan) if self._force is None else self._force
         record = self.loop.record
         assert record is not None
-        self.times.append(float(self.loop.times[k]))
         self.log.add(
             record, self.ages[-1], {}, state=x, input=thrusts, reading=reading, state_reference=state,
             input_reference=inputs, estimate=x,
         )  # fmt: skip
+        self.times.append(float(self.loop.times[k]))
