@@ -72,6 +72,46 @@ def test_no_clock_is_said(rng, tmp_path):
         describe_log(logs.write_csv(tmp_path / "a.csv", columns))
 
 
+def test_a_time_in_words_is_named(truth, tmp_path):
+    columns = {"when": [f"2026-01-01T00:00:{t:.2f}" for t in truth.t[:100]], "x": np.zeros(100), "y": np.ones(100)}
+    with pytest.raises(DataError, match="not columns of numbers: when"):
+        describe_log(logs.write_csv(tmp_path / "a.csv", columns))
+
+
+@pytest.mark.parametrize("rows", [1, 5, 49])
+def test_too_few_rows_are_counted(truth, tmp_path, rows):
+    columns = {"t": truth.t[:rows], "x": truth.p[:rows, 0]}
+    with pytest.raises(DataError, match=f"{rows} rows: too few"):
+        describe_log(logs.write_csv(tmp_path / "a.csv", columns))
+
+
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize(
+    ("name", "factor", "quantity"),
+    [
+        ("rotor_speed_{}", 700.0, "rotor_speed"),
+        ("motor_speed[{}]", 700.0, "rotor_speed"),
+        ("rotor_omega_{}", 700.0, "rotor_speed"),
+        ("motor_{}_speed", 700.0, "rotor_speed"),
+        ("motor_command_{}", 1.0, "motor_command"),
+        ("motor_thrust_{} [N]", 20.0, "rotor_thrust"),
+        ("u_{}", 4.0, "rotor_thrust"),
+    ],
+)
+def test_numbered_rotors_are_no_vector(truth, tmp_path, first, name, factor, quantity):
+    """rotor_speed_0, 1, 2 are no velocity; newtons are no percent."""
+    columns = {name.format(first + i): factor * truth.command[:, i] for i in range(4)}
+    found = describe_log(logs.write_csv(tmp_path / "a.csv", _table(truth, truth.p, q=truth.q, **columns)))
+    assert found.fields[quantity].value["columns"] == list(columns)
+    assert not any("motor command" in text for text in found.warnings)
+    assert "velocity" not in found.fields
+
+
+def test_no_rotors_are_said(truth, tmp_path):
+    found = describe_log(logs.write_csv(tmp_path / "a.csv", _table(truth, truth.p, q=truth.q)))
+    assert any("no motor command" in text for text in found.warnings)
+
+
 def _table(f, p=None, v=None, q=None, **more):
     columns = {"t": f.t}
     columns |= {} if p is None else logs._named("x|y|z", p)
