@@ -39,9 +39,11 @@ from quadexp.plugins.check.units_by_size import (
     time_unit,
 )
 from quadexp.plugins.logs.column_names import groups, numbered_quaternion, unit_of
+from quadexp.plugins.logs.importers.assemble import check_clock
 from quadexp.plugins.logs.importers.quantities import QUANTITIES, ROTORS
 from quadexp.plugins.logs.importers.readers import reader_of
 from quadexp.plugins.logs.importers.table import numbers, open_table
+from quadexp.plugins.logs.signal import increasing
 from quadexp.plugins.logs.signal.windows import Windows, changes
 from quadexp.plugins.logs.units import UNITS
 
@@ -107,6 +109,8 @@ def describe_log(path: Path) -> Description:
         if good.sum() < LEAST_SAMPLES:
             few = f"{int(good.sum())} rows with a time: too few to propose a mapping from ({LEAST_SAMPLES} do)"
             raise DataError(f"{path}: {few}")
+        rises = increasing(t[good])
+        check_clock(path, names[clock], t[good][rises])
         named = names
         if names == [str(i) for i in range(8)]:
             off = np.abs(norms(data[:, 4:]) - 1)

@@ -72,9 +72,17 @@ def test_no_clock_is_said(rng, tmp_path):
         describe_log(logs.write_csv(tmp_path / "a.csv", columns))
 
 
-def test_a_time_in_words_is_named(truth, tmp_path):
-    columns = {"when": [f"2026-01-01T00:00:{t:.2f}" for t in truth.t[:100]], "x": np.zeros(100), "y": np.ones(100)}
+def test_a_time_in_words_is_named(tmp_path):
+    rows = [f"2026-01-01T00:00:{second:02d},0,1" for second in range(60)]
+    (tmp_path / "a.csv").write_text("\n".join(["when,x,y", *rows, ""]))
     with pytest.raises(DataError, match="not columns of numbers: when"):
+        describe_log(tmp_path / "a.csv")
+
+
+def test_a_clock_that_jumps_is_said(truth, tmp_path):
+    """Between its two parts nothing was flown: what is interpolated there says nothing of the columns."""
+    columns = _table(truth, truth.p, truth.v, truth.q) | {"t": truth.t + 3600.0 * (truth.t > 10.0)}
+    with pytest.raises(DataError, match=r"3600.01 s of it after row 1000: its clock jumps"):
         describe_log(logs.write_csv(tmp_path / "a.csv", columns))
 
 
