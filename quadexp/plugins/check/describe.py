@@ -39,9 +39,11 @@ from quadexp.plugins.check.units_by_size import (
     time_unit,
 )
 from quadexp.plugins.logs.column_names import groups, numbered_quaternion, unit_of
-from quadexp.plugins.logs.importers.quantities import QUANTITIES
+from quadexp.plugins.logs.importers.assemble import check_clock
+from quadexp.plugins.logs.importers.quantities import QUANTITIES, ROTORS
 from quadexp.plugins.logs.importers.readers import reader_of
 from quadexp.plugins.logs.importers.table import numbers, open_table
+from quadexp.plugins.logs.signal import increasing
 from quadexp.plugins.logs.signal.windows import Windows, changes
 from quadexp.plugins.logs.units import UNITS
 
@@ -64,6 +66,8 @@ class Description:
         lines = [f"no {name} was recognised: what needs it is not possible with this log" for name in missing]
         if not self.fields.keys() & QUANTITIES.keys():
             lines.append("no column was recognised: add the quantities by hand, an import needs one at least")
+        if not self.fields.keys() & set(ROTORS):
+            lines.append("no motor command or rotor speed was recognised: `quadexp identify` needs one")
         if "attitude" in missing:
             lines.append("without an attitude neither frames nor directions can be checked")
         return lines
@@ -96,12 +100,17 @@ def describe_log(path: Path) -> Description:
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         opened = open_table(path)
         names, data = numbers(opened)
-        clock = _clock(path, names, data)
+        if len(data) < LEAST_SAMPLES:
+            raise DataError(f"{path}: {len(data)} rows: too few to propose a mapping from ({LEAST_SAMPLES} do)")
+        clock = _clock(path, names, data, [name for name in opened.columns if name not in names])
         unit = time_unit(data[:, clock], unit_of(names[clock])[1])
         t = data[:, clock] * SECONDS[unit.value["unit"]]
         good = np.isfinite(t)
         if good.sum() < LEAST_SAMPLES:
-            raise DataError(f"{path}: {int(good.sum())} rows with a time: too few to propose a mapping from")
+            few = f"{int(good.sum())} rows with a time: too few to propose a mapping from ({LEAST_SAMPLES} do)"
+            raise DataError(f"{path}: {few}")
+        rises = increasing(t[good])
+        check_clock(path, names[clock], t[good][rises])
         named = names
         if names == [str(i) for i in range(8)]:
             off = np.abs(norms(data[:, 4:]) - 1)
@@ -122,15 +131,16 @@ def describe_log(path: Path) -> Description:
     return Description(path, opened.format, first | fields | {"crop": crop})
 
 
-def _clock(path: Path, names: Sequence[str], data: np.ndarray) -> int:
+def _clock(path: Path, names: Sequence[str], data: np.ndarray, others: Sequence[str]) -> int:
     """The column that increases most steadily, one that is named `time` before others. Raises DataError where no
-    column increases from row to row."""
+    column increases from row to row. others: columns that hold no numbers, or have another length."""
     named = {columns[0] for columns in groups(names).get("time", [])}
     steadiness = []
     for i, values in enumerate(data.T):
         steadiness.append(_steadiness(values[np.isfinite(values)], len(data)) + 2 * (i in named))
     if max(steadiness) == -np.inf:
-        raise DataError(f"{path}: no column increases from row to row: there is no clock")
+        left = f" (not columns of numbers: {', '.join(others[:8])}; a time must be one number)" if others else ""
+        raise DataError(f"{path}: no column increases from row to row: there is no clock{left}")
     return int(np.argmax(steadiness))
 
 
@@ -284,7 +294,7 @@ class _Proposals:
                 if np.ptp(x, axis=0).min() == 0 or x.min() < -0.2 * x.max():
                     continue
                 name = self.names[columns[0]].lower()
-                written = self.written(columns, "rotor_speed")
+                written = self.written(columns, "rotor_speed") or self.written(columns, "force")
                 quantity, reading = rotor_range(x, kind == "rotor_speed", name, written, betaflight)
                 if quantity not in self.fields:
                     order = "taken in the vehicle's order unless a `layout` is given: `quadexp check` says the order"

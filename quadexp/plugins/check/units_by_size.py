@@ -40,6 +40,8 @@ RANGES = (
     (2200, "", LIKELY, 0, 2000, ": DShot or Betaflight counts"), (np.inf, "bits", LIKELY, 0, 65535, ": 16 bits"),
 )  # fmt: skip
 
+LEAST_PERCENT = 10  # of full command: no vehicle hovers with less
+
 
 class Proposal(NamedTuple):
     """What stands under one key of a mapping. value: as it stands there, of a quantity without its columns. sureness:
@@ -166,9 +168,13 @@ def rotor_range(x: np.ndarray, speeds: bool, name: str, written: str | None, bet
         return "rotor_speed", Proposal(lines, GUESS, why)
     if written in ("rpm", "rad/s", "Hz"):
         return "rotor_speed", Proposal({"unit": written}, SURE, f"the name says the unit; {why}")
+    if written is not None:
+        return "rotor_thrust", Proposal({"unit": written}, SURE, f"the name says the unit; {why}")
     if speeds and largest > 1.5:
         unit = "rpm" if middle > 3500 or "rpm" in name else "rad/s"
         return "rotor_speed", Proposal({"unit": unit}, LIKELY, f"named as speeds, {why}")
+    if largest > 1.5 and np.percentile(x, 90) < LEAST_PERCENT:
+        return "rotor_thrust", Proposal({"unit": "N"}, GUESS, f"{why}: too small for commands in percent")
     holds = {"": True, "betaflight": betaflight, "pulses": np.percentile(x, 1) > 850, "bits": largest > 30_000}
     for limit, condition, sureness, low, high, words in RANGES:
         if largest <= limit and holds[condition]:

@@ -69,7 +69,13 @@ _N = r"[\s._\[/:#-]*m?(\d{1,2})\]?"
 _W = r"(?:.*[^a-z])?"
 
 
+_ROTOR = _W + r"(?:rotor|motor|prop(?:eller)?|esc)s?[ ._]?"
+_SPEED = r"(?:speed|omega|rate|vel|velocity|rpm)s?"
+
+
 _PATTERNS: list[tuple[str, re.Pattern[str]]] = [
+    ("rotor_speed", re.compile(_ROTOR + _SPEED + _N)),  # before velocity and rate, which have numbered axes too
+    ("rotor_speed", re.compile(_ROTOR + r"\[?(\d{1,2})\]?[ ._]?" + _SPEED)),
     ("time", re.compile(_W + r"(?:time|timestamp|stamp|t|ts|timeus|time_?s|timestamp_sample|secs?)")),
     ("attitude", re.compile(_W + r"(?:q|quat|quaternion|orientation|rot|att|q_rs|q_wb|q_nb|attitude)" + _Q)),
     ("euler", re.compile(_W + r"(roll|pitch|yaw|heading)")),
@@ -89,7 +95,7 @@ _PATTERNS: list[tuple[str, re.Pattern[str]]] = [
         r"|mot|omega_rotor|speed_motor|prop)" + _N)),
     ("rotor_speed", re.compile(r"esc\[(\d+)\]\.esc_rpm")),
     ("motor", re.compile(_W + r"(?:motor|motors|mot|m|pwm|output|outputs|control|actuator|act|u|esc|thrust"
-        r"|motor_?pwm|servo)" + _N)),
+        r"|motor_?pwm|motor_?commands?|servo)" + _N)),
     ("battery_voltage", re.compile(_W + r"(?:vbat\w*|v_?batt?(?:ery)?|voltage\w*"
         r"|batt?(?:ery)?(?:[ _.]?v(?:olt(?:age)?)?)?|pm[._]vbat)()")),
     ("position", re.compile(_W + r"(?:p|pos|position|loc|location|p_rs_r|t|xyz_world|pose[._/]position"

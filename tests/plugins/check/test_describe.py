@@ -72,6 +72,54 @@ def test_no_clock_is_said(rng, tmp_path):
         describe_log(logs.write_csv(tmp_path / "a.csv", columns))
 
 
+def test_a_time_in_words_is_named(tmp_path):
+    rows = [f"2026-01-01T00:00:{second:02d},0,1" for second in range(60)]
+    (tmp_path / "a.csv").write_text("\n".join(["when,x,y", *rows, ""]))
+    with pytest.raises(DataError, match="not columns of numbers: when"):
+        describe_log(tmp_path / "a.csv")
+
+
+def test_a_clock_that_jumps_is_said(truth, tmp_path):
+    """Between its two parts nothing was flown: what is interpolated there says nothing of the columns."""
+    columns = _table(truth, truth.p, truth.v, truth.q) | {"t": truth.t + 3600.0 * (truth.t > 10.0)}
+    with pytest.raises(DataError, match=r"3600.01 s of it after row 1000: its clock jumps"):
+        describe_log(logs.write_csv(tmp_path / "a.csv", columns))
+
+
+@pytest.mark.parametrize("rows", [1, 5, 49])
+def test_too_few_rows_are_counted(truth, tmp_path, rows):
+    columns = {"t": truth.t[:rows], "x": truth.p[:rows, 0]}
+    with pytest.raises(DataError, match=f"{rows} rows: too few"):
+        describe_log(logs.write_csv(tmp_path / "a.csv", columns))
+
+
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize(
+    ("name", "factor", "quantity"),
+    [
+        ("rotor_speed_{}", 700.0, "rotor_speed"),
+        ("motor_speed[{}]", 700.0, "rotor_speed"),
+        ("rotor_omega_{}", 700.0, "rotor_speed"),
+        ("motor_{}_speed", 700.0, "rotor_speed"),
+        ("motor_command_{}", 1.0, "motor_command"),
+        ("motor_thrust_{} [N]", 20.0, "rotor_thrust"),
+        ("u_{}", 4.0, "rotor_thrust"),
+    ],
+)
+def test_numbered_rotors_are_no_vector(truth, tmp_path, first, name, factor, quantity):
+    """rotor_speed_0, 1, 2 are no velocity; newtons are no percent."""
+    columns = {name.format(first + i): factor * truth.command[:, i] for i in range(4)}
+    found = describe_log(logs.write_csv(tmp_path / "a.csv", _table(truth, truth.p, q=truth.q, **columns)))
+    assert found.fields[quantity].value["columns"] == list(columns)
+    assert not any("motor command" in text for text in found.warnings)
+    assert "velocity" not in found.fields
+
+
+def test_no_rotors_are_said(truth, tmp_path):
+    found = describe_log(logs.write_csv(tmp_path / "a.csv", _table(truth, truth.p, q=truth.q)))
+    assert any("no motor command" in text for text in found.warnings)
+
+
 def _table(f, p=None, v=None, q=None, **more):
     columns = {"t": f.t}
     columns |= {} if p is None else logs._named("x|y|z", p)

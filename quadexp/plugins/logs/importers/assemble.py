@@ -55,7 +55,8 @@ def assemble(
     _sort_rotors(path, streams, log.layout, vehicle, notes)
     rates = {name: 1 / period_of(stream.t) for name, stream in streams.items()}
     start = min(streams[name].t[0] for name in core)
-    _check_clock(path, {name: streams[name] for name in core})
+    for name in core:
+        check_clock(path, name, streams[name].t)
     period = _shared_period(streams)
     log.about["resampled"] = period is None or rate is not None
     if period is not None and (rate is None or abs(rate * period - 1) < UNIFORM):
@@ -115,21 +116,22 @@ def _short_ones_out(streams: dict[str, Stream], notes: list[str]) -> None:
         leave_out(name, covered, finish - begin, LEAST_SHARE["reference"])
 
 
-def _check_clock(path: Path, streams: dict[str, Stream]) -> None:
-    for name, stream in streams.items():
-        length = np.ptp(stream.t)
-        step = np.diff(stream.t)
-        period = period_of(stream.t)
-        covered = np.minimum(step, 10 * period).sum()
-        if length > min(MOST_EMPTY * covered, LONGEST):
-            row = int(np.argmax(step))
-            what = "its clock jumps, or the unit of its time is wrong"
-            for unit in ("ms", "us", "ns"):
-                rate = 1 / (period * UNITS["time"][unit])
-                if SLOWEST <= rate <= FASTEST:
-                    what += f": in {unit} its rows come at {rate:.4g} Hz, which `unit: {unit}` under `time:` says"
-                    break
-            raise DataError(f"{path}: {name} spans {length:.6g} s, {step[row]:.6g} s of it after row {row}: {what}")
+def check_clock(path: Path, name: str, t: np.ndarray) -> None:
+    """Raises DataError where most of the time of a stream, (k,) s, passes between few rows."""
+    length = np.ptp(t)
+    step = np.diff(t)
+    period = period_of(t)
+    covered = np.minimum(step, 10 * period).sum()
+    if length <= min(MOST_EMPTY * covered, LONGEST):
+        return
+    row = int(np.argmax(step))
+    what = "its clock jumps, or the unit of its time is wrong"
+    for unit in ("ms", "us", "ns"):
+        rate = 1 / (period * UNITS["time"][unit])
+        if SLOWEST <= rate <= FASTEST:
+            what += f": in {unit} its rows come at {rate:.4g} Hz, which `unit: {unit}` under `time:` says"
+            break
+    raise DataError(f"{path}: {name} spans {length:.6g} s, {step[row]:.6g} s of it after row {row}: {what}")
 
 
 def _shared_period(streams: dict[str, Stream]) -> float | None:
