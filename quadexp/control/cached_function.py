@@ -25,7 +25,8 @@ def cached_function(backend: str, make: Callable[..., Any], *arguments: Any, **f
     functions = _functions.get(key)
     if functions is None:
         functions = make(*arguments, **form)
-        own = [type(part).__name__ for part in arguments if not getattr(part, "shipped", True)]
+        parts = [part for part in arguments if not hasattr(part, "fingerprint")]
+        own = [type(part).__name__ for part in parts if not getattr(part, "shipped", True)]
         if own and pickle.dumps(functions) != pickle.dumps(make(*arguments, **form)):
             said = f"equations of {own[0]}: differ from call to call"
             raise UsageError(f"{said}; let them follow from keys, inputs and memory alone")
