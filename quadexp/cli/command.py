@@ -12,6 +12,7 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext, redirect_stdout
 from dataclasses import dataclass
 from functools import cached_property
 from keyword import iskeyword
@@ -138,7 +139,10 @@ class Command:
                 given_folders(values.get("conf"))
                 for argument, record in records.items():
                     values[argument] = record(**{key: values.pop(key) for key in declared(record)})
-                _print(self._answer(values | {"form": shown}), shown, self.name)
+                # What a part of the user's prints is no result.
+                with nullcontext() if shown == "text" else redirect_stdout(sys.stderr):
+                    answer = self._answer(values | {"form": shown})
+                _print(answer, shown, self.name)
 
         run.__name__ = self.name
         run.__doc__ = self._help()

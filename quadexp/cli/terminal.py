@@ -133,7 +133,7 @@ def guarded(command: str) -> Iterator[None]:
         if error.filename is None and error.errno in DEVICE:  # files are written by writer.py, which names them
             raise output_failed(error) from None
         raise fail(system_error(error), 1) from error
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # of a user's part
         if isinstance(error, MemoryError) or NO_MEMORY.search(str(error)):
             _spent.append(True)
             raise fail("not enough memory", 1) from error

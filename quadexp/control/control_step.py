@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +24,7 @@ from quadexp.compile.memory import Memory
 from quadexp.control.base import Controller, Measurement, Window
 from quadexp.control.mpc.active_set import Status
 from quadexp.control.mpc.mpc import StepRecord
+from quadexp.errors import UsageError
 from quadexp.physics.state import N_STATE
 
 KINDS = (
@@ -250,13 +252,19 @@ def control_step_of(controller: Any, inputs: InputArrays, state: np.ndarray) -> 
 
 
 def stepped(controller: Controller, measurement: Measurement, window: Window) -> tuple[np.ndarray, StepRecord]:
-    """The step of a controller. One in Python may give its thrusts alone: FAILED where they are not finite."""
+    """The step of a controller. One in Python is given copies, and may give its thrusts alone: FAILED where they are
+    not finite. Raises UsageError where they are something else."""
+    if not in_calls(controller):
+        measurement, window = deepcopy((measurement, window))
     began = time.perf_counter()
     result = controller.step(measurement, window)
     if isinstance(result, tuple):
         return result
-    u = np.asarray(result, float)
     vehicle = controller.vehicle
+    if np.shape(result) != (vehicle.n_rotors,):
+        said = f"step of {type(controller).__name__}: gives {str(result)[:60]}"
+        raise UsageError(f"{said}; {vehicle.n_rotors} thrusts (N) are needed")
+    u = np.asarray(result, float)
     limited = int(((u <= vehicle.thrust_min) | (u >= vehicle.thrust_max)).sum())
     status = Status.OK if np.isfinite(u).all() else Status.FAILED
     return u, StepRecord(time.perf_counter() - began, status, 0, limited, 0.0)

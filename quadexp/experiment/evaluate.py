@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -134,14 +135,14 @@ def _check_finite(config: Config, trajectory: Any) -> None:
     finite = np.isfinite(flat).all(axis=(1, 2))
     if finite.all():
         return
+    said = f"the reference is not finite at t = {t[int(np.argmin(finite))]:.3g} s"
+    if not config.trajectory.shipped:
+        raise UsageError(f"{said}: flat_output of trajectory={config.trajectory.name}")
     settings = record(config.trajectory)
     settings |= settings.pop("options", {})
     size = {key: abs(math.log10(abs(x))) for key, x in settings.items() if isinstance(x, (int, float)) and abs(x) > 0}
     key = max(size, key=lambda key: size[key], default="name")
-    raise UsageError(
-        f"the reference is not finite at t = {t[int(np.argmin(finite))]:.3g} s: trajectory.{key}={settings[key]} is"
-        " too large or too small"
-    )
+    raise UsageError(f"{said}: trajectory.{key}={settings[key]} is too large or too small")
 
 
 def ground_height(config: Config) -> float:
@@ -244,9 +245,15 @@ def fly_one(
     flown = through(loop)
     limits = {"lost_distance": config.trajectory.lost_distance, "lost_box": config.trajectory.lost_box}
     metadata = describe(config, vehicle, model)
+    before = random.getstate(), np.random.get_state()  # noqa: NPY002 - from which a user's part may draw
+    entropy = flight_entropy(config, metadata["config"])
+    random.seed(entropy)
+    np.random.seed(entropy % 2**32)  # noqa: NPY002
     flight = flown.fly(
         trajectory, generator(config, metadata["config"]), digest=path_digest, metadata=metadata, **limits
     )
+    random.setstate(before[0])
+    np.random.set_state(before[1])  # noqa: NPY002
     residual = {"name": controller.residual_name, "source": controller.source}
     late, lag, age = (float(getattr(loop.plant, name, 0.0)) for name in ("loop_delay", "loop_lag", "age"))
     timing = {"age": age, "dead_time": late - age, "lag": lag}  # s, as they are

@@ -222,6 +222,8 @@ def fly(
                 break
             try:
                 asked = gate.admit(Measurement(t, measured_state, measured, speed)), reference.window(k)
+            except UsageError:  # a plant's mistake
+                raise
             except QuadexpError as error:
                 outcome = "solver_failed"
                 cause = str(error)
@@ -241,6 +243,7 @@ def fly(
             if record.status == Status.FAILED:
                 outcome = "solver_failed"
                 cause = f"the control step failed at t={t:.2f} s"
+                cause += "" if np.isfinite(u).all() else ": its command is not finite"
                 break
         try:
             x, reading = plant.advance(x, u, period, noise)

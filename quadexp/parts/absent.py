@@ -14,7 +14,6 @@ from quadexp.parts.former import group_of
 from quadexp.parts.schema import conf_folder, lacks_plugin
 from quadexp.plugin import shipped_plugins
 
-LACKING = "no installed plug-in has this group (quadexp/plugins)"
 _PLUGIN = re.compile(r"\bquadexp\.plugins\.(\w+)")
 
 
@@ -35,6 +34,12 @@ def absent(options: Mapping[str, Any]) -> dict[str, str]:
     return reasons
 
 
+def lacking(group: str) -> str:
+    """Why a group of this program is not there, with the plug-in that its options are of."""
+    text = "".join(path.read_text(encoding="utf-8") for path in (conf_folder() / group).glob("*.yaml"))
+    return f"no installed plug-in has this group (quadexp/plugins/{_absent_plugin(text)} is not there)"
+
+
 def _absent_plugin(text: str) -> str:
     """The first plug-in that a text names and that is not there; "" where all are."""
     there = shipped_plugins()
@@ -51,7 +56,7 @@ def _lacking(group: str, content: Mapping[str, Any], reasons: Mapping[str, str])
     for other, option in _named(group, content):
         reason = reasons.get(f"{other}/{option}")
         if option != "none" and lacks_plugin(other):
-            reason = LACKING
+            reason = lacking(other)
         if reason:
             return f"{other}={option}: {reason}"
     return ""

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from quadexp.errors import UsageError
 from quadexp.messages import ending_in, suggestion
 from quadexp.names import SPELLINGS, is_name
-from quadexp.parts.absent import LACKING
+from quadexp.parts.absent import lacking
 from quadexp.parts.cells import Cell as Cell
 from quadexp.parts.cells import Cells, as_override, iterate_validated, product, written_out
 from quadexp.parts.models import GROUP, check_named, kind_of, spelled
@@ -216,7 +216,7 @@ class Composer:
             layers = self._layers({override.key: override.value for override in chosen})
             for name in layers:
                 if name not in _ROOT:
-                    unknown = LACKING if lacks_plugin(name) else f"no such key{suggestion(name, list(_ROOT))}"
+                    unknown = lacking(name) if lacks_plugin(name) else f"no such key{suggestion(name, list(_ROOT))}"
                     raise UsageError(f"{layers[name][0].option}: {name}: {unknown}")
             self._trees[choice] = {name: self._node(name, layers.get(name, [])) for name in _ROOT}
         return self._trees[choice]
@@ -337,7 +337,7 @@ def check_key(content: Any, key: str, files: OptionFiles) -> None:
     root = content
     parts = key.split(".")
     if lacks_plugin(parts[0]):
-        raise UsageError(f"{key}: {LACKING}")
+        raise UsageError(f"{key}: {lacking(parts[0])}")
     for i, part in enumerate(parts):
         if isinstance(content, dict) and part in content:
             content = content[part]

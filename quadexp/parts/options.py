@@ -37,7 +37,7 @@ from typing import Any, NamedTuple
 from quadexp.errors import UsageError
 from quadexp.messages import MOST_NAMED, ending_in, note, suggestion
 from quadexp.names import without
-from quadexp.parts.absent import LACKING, absent, chosen_group
+from quadexp.parts.absent import absent, chosen_group, lacking
 from quadexp.parts.former import group_of
 from quadexp.parts.part import TARGET, Part, imported, part_class
 from quadexp.parts.schema import BUNDLES, CHOSEN, CLASSES, PRESETS, WORLD, conf_folder, lacks_plugin
@@ -238,7 +238,7 @@ class OptionFiles:
             if lacks_plugin(group):
                 if option == "none":
                     continue
-                raise UsageError(f"{path}: {group}={option}: {LACKING}")
+                raise UsageError(f"{path}: {group}={option}: {lacking(group)}")
             if group not in CHOSEN:
                 raise UsageError(f"{path}: defaults: {key}: must be `override /GROUP`, of {', '.join(CHOSEN)}")
             name = self.named(group, option)

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from quadexp.errors import UsageError
+from quadexp.messages import note
 from quadexp.parts.part import Part
 from quadexp.parts.settings import Setting, key, keyed
 from quadexp.physics.state import norms
@@ -33,6 +34,7 @@ RADIUS = Setting("radius of the circle, half width of the lemniscate", "(0, 1000
 DURATION = Setting("length of the flight", "(0, 3600]", "s")
 
 N_DERIVATIVES = 5  # position, velocity, acceleration, jerk, snap
+STEP = 1e-4  # s, of differences: by less than a control period, and far from rounding
 
 
 @dataclass(frozen=True)
@@ -132,8 +134,9 @@ def check_own(trajectory: Trajectory, name: str) -> None:
         number = isinstance(value, (int, float, np.floating)) and np.isfinite(value)
         if not number or value < 0 or (what == "duration" and value == 0):
             raise UsageError(f"{said}{what} is {str(value)[:40]}; a positive number is needed")
-    times = np.linspace(0.0, trajectory.duration, 3)
-    flat = trajectory.flat_output(times)
+    times = trajectory.duration * np.array([0.23, 0.52, 0.81])  # where no corner of a path is likely
+    times.flags.writeable = False
+    flat, again = trajectory.flat_output(times), trajectory.flat_output(times)
     if not isinstance(flat, FlatOutput):
         raise UsageError(f"{said}flat_output must give a FlatOutput, not {type(flat).__name__}")
     needed = {"position": (3, N_DERIVATIVES, 3), "yaw": (3, 3)}
@@ -145,6 +148,13 @@ def check_own(trajectory: Trajectory, name: str) -> None:
             raise UsageError(f"{said}{what} of 3 times has the shape {np.shape(array)}; {shape} is needed")
         if not np.isfinite(array).all():
             raise UsageError(f"{said}{what} is not finite in the flight")
+        if not np.array_equal(array, getattr(again, what)):
+            raise UsageError(f"{said}{what} of one time differs from call to call; let it follow from t and keys alone")
+    before, after = (trajectory.flat_output(times + step).position[:, :-1] for step in (-STEP, STEP))
+    slope = (after - before) / (2 * STEP)
+    error = np.abs(slope - flat.position[:, 1:])
+    for order in np.flatnonzero(error.mean(axis=(0, 2)) > 0.1 * np.abs(slope).mean(axis=(0, 2)) + 1e-3):
+        note(f"{said}flat_output: its derivative of order {order + 1} is not that of order {order}, differentiated")
 
 
 def end_of(trajectory: Trajectory) -> float:

@@ -228,6 +228,7 @@ def begin(memory: float | None, path: str | None, folders: Sequence[str]) -> Non
     path: PYTHONPATH for programs that the worker itself starts.
     """
     os.environ[PATH] = path or ""
+    sys.stdout = sys.stderr  # what a part of the user's prints is no result
     import_from(*folders)
     threading.Thread(target=_end_with_driver, daemon=True).start()
     if sys.platform == "linux":

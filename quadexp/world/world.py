@@ -14,7 +14,7 @@ import numpy as np
 
 from quadexp.compile.backend import BufferedFunction, realise
 from quadexp.compile.symbolic import ca
-from quadexp.errors import ModelDomainError, QuadexpError, UsageError
+from quadexp.errors import ModelDomainError, UsageError
 from quadexp.models.residual import Residual
 from quadexp.parts.sensor_spec import SensorSpec, Stated
 from quadexp.world.composition import WIND, compose, wind_function
@@ -92,11 +92,11 @@ class World(SimulatedPlant):
         parameters = []
         for effect, sizes in zip(self.effects, layout.effects, strict=True):
             stream = part_stream(rng, effect.part)
-            begins = [np.asarray(values, float).ravel() for values in effect.start(stream, start)]
+            begins = [np.asarray(values, float).ravel() for values in effect.start(stream, start) or ()]
             if [len(values) for values in begins] != [sizes.inner, sizes.parameters]:
-                raise QuadexpError(
-                    f"{effect.part}: start gives {[len(numbers) for numbers in begins]} numbers, sizes {sizes}"
-                )
+                needed = f"{sizes.inner} inner states and {sizes.parameters} parameters, as `sizes` says"
+                given = [len(numbers) for numbers in begins]
+                raise UsageError(f"{effect.stage}={effect.name}: start gives {given} numbers; {needed}")
             begun[effect.part] = begins[0]
             inner.append(begins[0])
             parameters.append(begins[1])
@@ -234,9 +234,16 @@ class World(SimulatedPlant):
     def _named_columns(self, clock: Clock) -> dict[str, int]:
         layout = self._layout(clock)
         columns: dict[str, int] = {}
-        for effect, first in zip(self.effects, layout.ends("inner")[1:-1], strict=True):
-            columns |= {name: first + place for name, place in effect.columns(clock, self.vehicle).items()}
-        columns |= {name: i for i, name in enumerate(self.airframe.inner_columns)}
+        airframe = {name: i for i, name in enumerate(self.airframe.inner_columns)}
+        for effect, sizes, first in zip(self.effects, layout.effects, layout.ends("inner")[1:-1], strict=True):
+            for name, place in effect.columns(clock, self.vehicle).items():
+                said = f"{effect.stage}={effect.name}: columns: {name}"
+                if not 0 <= place < sizes.inner:
+                    raise UsageError(f"{said} is inner state {place}, of {sizes.inner} that it has, from 0")
+                if not effect.shipped and name in (*columns, *airframe, *WIND_COLUMNS):
+                    raise UsageError(f"{said} is a column of another part: choose another name for it")
+                columns[name] = first + place
+        columns |= airframe
         if any(effect.has("wind") for effect in self.effects):
             columns |= {name: layout.size("inner") + i for i, name in enumerate(WIND_COLUMNS)}
         return columns

@@ -277,6 +277,8 @@ class TestSweep:
         assert "same_helper.py" in str(verify_results(tmp_path / "r").wrong)
         assert run_sweep(expand(cells, folder), tmp_path / "r", SweepRequest(**options)).flown == 1
         assert not verify_results(tmp_path / "r").wrong
+        (folder / "same_helper.py").unlink()
+        assert verify_results(tmp_path / "r").missing == [str(folder / "same_helper.py")]
 
     def test_a_worker_flies_what_was_planned_or_refuses(self, tmp_path):
         folder = place(tmp_path / "mine", 1.0)

@@ -3,6 +3,8 @@
 Python and CasADi take most of these without a word: a misspelt hook does nothing, float of an expression is NaN.
 """
 
+import json
+
 import numpy as np
 import pytest
 
@@ -80,6 +82,37 @@ class Mine(Effect):
     def measure(self, at, measured):
         return at.inner, measured | {"state": measured["state"]}
 """
+STEP = """
+from dataclasses import dataclass
+import numpy as np
+from quadexp.control.part import ControllerPart
+
+@dataclass(frozen=True, kw_only=True)
+class Mine(ControllerPart):
+    def build(self, context):
+        return Lifting(context.vehicle)
+
+class Lifting:
+    control_period, reference_period, node_times = 0.01, 0.0, np.zeros(1)
+    residual, residual_name, source, backend = None, "none", "", "python"
+
+    def __init__(self, vehicle):
+        self.vehicle = vehicle
+
+    def forget(self):
+        pass
+
+    def reset(self, x, window):
+        pass
+
+    def step(self, measurement, window):
+        height = measurement.state[2] - window.position[0, 2]
+        lift = self.vehicle.mass * (self.vehicle.gravity - 4.0 * height - 3.0 * measurement.state[9])
+        return np.full(4, lift / 4)
+
+    def log(self):
+        return {}
+"""
 HOVER = ("trajectory=hover", "trajectory.duration=0.3", *QUICK)
 LAW_MISTAKES = (
     (
@@ -108,6 +141,13 @@ LAW_MISTAKES = (
     ("key(4.0@key([4.0]", "mine.py, line 10: a key (stiffness): its default is a list; write a tuple"),
     ("stiff: float@stiff: list", "Mine.stiff: its type is a list; write tuple[float, ...]"),
     ("[0, 100]@0..100", "Mine.stiff: its range is '0..100'; write [0, 100], or (0, 100] without 0"),
+    ("self.stiff * height@np.random.rand() * height", "import math@import numpy as np", "differ from call to call"),
+    (
+        "        height =@        CALLS.append(1)\n        height =",
+        "self.stiff * height@len(CALLS) * height",
+        "import math@CALLS = []",
+        "equations of Mine: differ from call to call; let them follow from keys, inputs and memory alone",
+    ),
     ("import math@from . import helper", "mine.py, line 2: ImportError: ", "by its name: import helper"),
 )
 LAYER_MISTAKES = (
@@ -140,11 +180,22 @@ WIND_MISTAKES = (
         'measured | {"state":@measured | {"stat":',
         "wind=mine: measure gives 'stat', which nothing reads; did you mean 'state'?",
     ),
+    ('"blown"@"wind_x"', "wind=mine: columns: wind_x is a column of another part: choose another name"),
+    ('"blown": 0@"blown": 1', "wind=mine: columns: blown is inner state 1, of 1 that it has, from 0"),
+    ("(0.0,), ()@(0.0, 1.0), ()", "wind=mine: start gives [2, 0] numbers; 1 inner states and 0 parameters"),
+    ("return (0.0,), ()@pass", "wind=mine: start gives [] numbers; 1 inner states"),
     ("return at.inner, @return ", "wind=mine: measure must return at.inner, as it is now, and the dict"),
     (
         '"state": measured["state"]@"state": measured["state"][:12]',
         "measure gives 12 numbers for 'state'; 13 are needed",
     ),
+)
+
+
+STEP_MISTAKES = (
+    ("return np@np", "step of Lifting: gives None; 4 thrusts (N) are needed"),
+    ("full(4@full(3", "step of Lifting: gives [2.45", "; 4 thrusts (N) are needed"),
+    ("return np.full(4, lift / 4)@return 'up'", "step of Lifting: gives up; 4 thrusts (N) are needed"),
 )
 
 
@@ -174,6 +225,86 @@ def check(folder, group, text, mistake, *words):
 @pytest.mark.parametrize("mistake", LAW_MISTAKES, ids=lambda mistake: mistake[0][:30])
 def test_of_a_law(mistake, tmp_path):
     check(tmp_path, "controller", LAW, mistake, *HOVER)
+
+
+@pytest.mark.parametrize("mistake", STEP_MISTAKES, ids=lambda mistake: mistake[0][:30])
+def test_of_a_step_in_python(mistake, tmp_path):
+    check(tmp_path, "controller", STEP, mistake, *HOVER[:2], HOVER[-1])
+
+
+def test_what_a_step_in_python_writes_into_is_its_own(tmp_path):
+    """It moved the plant."""
+    folder = option(tmp_path, "controller", "mine", "mine", STEP, "Mine")
+    asked = ("controller=mine", *HOVER[:2], HOVER[-1])
+    right = qx.simulate(*asked, conf=folder)
+    writes = "        measurement.state[:] += 1.0\n        window.position[:] += 1.0\n        return np.full"
+    option(folder, "controller", "mine", "mine", STEP.replace("        return np.full", writes), "Mine")
+    for _ in range(2):
+        np.testing.assert_array_equal(qx.simulate(*asked, conf=folder)["p_z"], right["p_z"])
+
+
+def test_a_part_that_ends_python_is_an_error_and_one_that_prints_leaves_the_results(tmp_path):
+    """The command ended with exit code 0, without a word and a file."""
+    asked = (*HOVER[:2], HOVER[-1])
+    code, errors = flown(
+        tmp_path, "controller", STEP.replace("return np.full", "raise SystemExit(0)\n        "), *asked
+    )
+    assert code == 1 and errors.startswith("error: mine.py, line ") and "SystemExit: 0" in errors
+    option(
+        tmp_path,
+        "controller",
+        "mine",
+        "mine",
+        STEP.replace("return np.full", "print(1)\n        return np.full"),
+        "Mine",
+    )
+    words = ("--conf", tmp_path, "controller=mine", *asked, "--json", "--force", "--out")
+    for command in (("simulate", *words, tmp_path / "a.parquet"), ("evaluate", "--sweep", *words, tmp_path / "r")):
+        code, out, errors = run(*command)
+        assert code == 0 and json.loads(out), errors
+
+
+def test_what_is_drawn_from_the_global_generator_is_the_flights_own(tmp_path):
+    """Each flight had other noise, and its command could not make it again."""
+    drawn = STEP.replace("lift / 4)", "lift / 4) + 0.01 * np.random.randn(4)")
+    folder = option(tmp_path, "controller", "mine", "mine", drawn, "Mine")
+    before = np.random.get_state()[1].copy()  # noqa: NPY002
+    asked = ("controller=mine", *HOVER[:2], HOVER[-1])
+    one, same, other = (qx.simulate(*asked, f"seed={seed}", conf=folder)["u_0"].to_numpy() for seed in (0, 0, 1))
+    assert (one == same).all() and not (one == other).any()
+    np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+
+
+PLANT = """
+from dataclasses import dataclass
+import numpy as np
+from quadexp.models.linear_drag import linear_drag_residual
+from quadexp.world.base import PlantPart
+
+@dataclass(frozen=True, kw_only=True)
+class Mine(PlantPart):
+    def build(self, context):
+        return Standing(context.vehicle)
+
+class Standing:
+    def __init__(self, vehicle):
+        self.vehicle = vehicle
+
+    def reset(self):
+        pass
+
+    def advance(self, x, u, duration, rng):
+        return x, np.array([0.0, 0.0, 9.81])
+
+    def residual(self):
+        return linear_drag_residual(self.vehicle, (0.0, 0.0, 0.0), source="mine")
+"""
+PLANT_MISTAKES = (("return x, @return x[:12], ", "state: (12,) numbers are given, (13,) are needed"),)
+
+
+@pytest.mark.parametrize("mistake", PLANT_MISTAKES, ids=lambda mistake: mistake[0][:30])
+def test_of_a_plant(mistake, tmp_path):
+    check(tmp_path, "plant", PLANT, mistake, *HOVER[:-1])
 
 
 @pytest.mark.parametrize("mistake", LAYER_MISTAKES, ids=lambda mistake: mistake[0][:30])

@@ -41,6 +41,51 @@ def test_a_trajectory(changed, said):
         check_own(Path(**changed), "mine")
 
 
+class Line(Path):
+    """At 1 m/s in x. speed: that it says."""
+
+    calls = 0
+
+    def __init__(self, speed=1.0):
+        super().__init__(speed=speed)
+
+    def flat_output(self, t):
+        position = np.zeros((len(t), 5, 3))
+        position[:, 0, 0] = t
+        position[:, 1, 0] = self.speed
+        return self.changed(t, position)
+
+    def changed(self, t, position):
+        return FlatOutput(position, None)
+
+
+class Forgetful(Line):
+    def changed(self, t, position):
+        self.calls += 1
+        return FlatOutput(position + self.calls, None)
+
+
+class Writing(Line):
+    def changed(self, t, position):
+        t *= 0.5
+        return FlatOutput(position, None)
+
+
+def test_a_derivative_that_is_none_is_noted(capsys):
+    """A wrong one was flown without a word, and the error was the controller's."""
+    check_own(Line(), "right")
+    check_own(Line(speed=2.0), "mine")
+    said = "note: trajectory=mine: flat_output: its derivative of order 1 is not that of order 0, differentiated\n"
+    assert capsys.readouterr().err == said
+
+
+def test_a_path_that_is_another_at_every_call_or_changes_the_times_is_refused():
+    with pytest.raises(UsageError, match="trajectory=mine: position of one time differs from call to call"):
+        check_own(Forgetful(), "mine")
+    with pytest.raises(ValueError, match="read-only"):
+        check_own(Writing(), "mine")
+
+
 def step(sizes, results):
     """A step with inputs of some sizes, whose outputs have others."""
     inputs = [ca.SX.sym(name, size) for name, size in zip(STEP_INPUTS, sizes, strict=False)]

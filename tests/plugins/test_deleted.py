@@ -92,7 +92,7 @@ def test_the_core_does_its_work_without_all_of_them(checkout):
         (("evaluate", "--sweep", *FLIGHT, "--watch"), "No such option: --watch"),
         (("new", "vehicle", "racer", "--from", "a.toml"), "No such option: --from"),
         (("new", "remedy", "mine"), "new remedy: must be one of vehicle, trajectory, plant, model, controller"),
-        (("simulate", *FLIGHT, "observer=disturbance"), "observer: no installed plug-in has this group"),
+        (("simulate", *FLIGHT, "observer=disturbance"), "group (quadexp/plugins/remedies is not there)"),
         (("evaluate", "--sweep", "--figures", *FLIGHT, "--out", "again"), "--figures: no installed plug-in"),
         (("simulate", *FLIGHT, "world=everything"), "wind=dryden: the plug-in quadexp/plugins/worlds is not there"),
         (("simulate", *FLIGHT, "timing.age=0.01"), "timing.age=0.01: nothing in this configuration uses it"),

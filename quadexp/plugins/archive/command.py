@@ -62,8 +62,9 @@ def verify(
     count = len(checked.wrong)
     rows = [{"file": path, "what": what} for path, what in checked.wrong.items()]
     lines = [f"{path}: {what}" for path, what in checked.wrong.items()]
+    lines += [f"{path}: is not there, and was not compared" for path in checked.missing]
     return Answer(
-        {"files": checked.files, "wrong": checked.wrong},
+        {"files": checked.files, "wrong": checked.wrong, "missing": checked.missing},
         rows or [{"files": checked.files, "wrong": 0}],
         [*lines, f"{checked.files} files, {count} wrong"],
         failed=[f"{folder}: {count} files have changed since they were written"] if count else [],

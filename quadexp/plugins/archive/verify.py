@@ -22,9 +22,11 @@ TEXTS = ("results.csv", "statistics.csv", "table.md", "table.tex", "comparison.t
 
 @dataclass
 class Verified:
-    """files: how many were looked at. wrong: file -> what is wrong with it."""
+    """files: how many were looked at. wrong: file -> what is wrong with it. missing: those that decided its flights
+    and are not there, as on another machine: they are not compared."""
 
     files: int = 0
+    missing: list[str] = field(default_factory=list)
     wrong: dict[str, str] = field(default_factory=dict)
 
     def look(self, path: Path, read: Callable[[], Any]) -> Any:
@@ -57,6 +59,7 @@ def verify_results(out: str | Path, progress: Callable[[int, int], None] = lambd
             rows, record = table
             if wrong := _unlike(rows, flights) or _edited(record):
                 verified.wrong[str(path)] = wrong
+            verified.missing = [file for file in record.get("files", {}) if not Path(file).is_file()]
             _verify_made(store.root, record, verified)
     elif any((store.root / name).exists() for name in (*TEXTS, STATISTICS)):
         verified.wrong[str(path)] = "is not there, and what is made of it is"

@@ -7,7 +7,7 @@
 
 Other columns are ignored, which the trajectory's note says, and lines that begin with #; but one with commas above the
 first row is a header, as EuRoC writes it. The yaw of an attitude follows the convention of the reference: y_body level
-with (-sin yaw, cos yaw, 0).
+with (-sin yaw, cos yaw, 0). Columns may be parted by semicolons, with decimal commas or points.
 
 A sampled track is interpolated by a degree-7 spline through every row (continuous up to the sixth derivative, not-a-
 knot ends), so it must be smooth: noise in the rows is amplified by dt^-4 in the snap. With `smooth` (s) the spline is
@@ -149,6 +149,8 @@ def _lines(path: Path) -> list[tuple[int, str]]:
             lines.append((number, line))
     if not lines:
         raise DataError(f"{path}: no rows (a track needs at least {MIN_ROWS}, waypoints {MIN_POINTS})")
+    if ";" in lines[0][1]:  # parts columns where numbers have decimal commas
+        lines = [(number, line.replace(",", ".").replace(";", ",")) for number, line in lines]
     if any(letter.isalpha() for letter in lines[0][1].lower().replace("e", "")):  # it names the columns itself
         return lines
     return heading + lines

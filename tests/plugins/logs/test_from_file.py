@@ -103,6 +103,16 @@ def test_two_points_fly_the_known_polynomial(written):
     assert path.flat_output(np.array([1.0])).yaw is None, "the heading is free"
 
 
+def test_semicolons_part_columns_with_decimal_commas(written):
+    """As a spreadsheet of half of Europe writes them."""
+    text = "t,x,y,z\n0,0,0,1\n1.5,1.5,0.25,1\n3,2.5,0.5,1.5\n"
+    with_points = cached_function(written(text)).flat_output(np.linspace(0, 3, 7)).position
+    for other in (text.replace(",", ";").replace(".", ","), text.replace(",", ";")):
+        np.testing.assert_array_equal(
+            cached_function(written(other)).flat_output(np.linspace(0, 3, 7)).position, with_points
+        )
+
+
 def test_times_and_yaw_are_kept(written):
     """Every point at its time, from the first row's on; the yaw goes the shorter way round, with its derivatives."""
     path = cached_function(written("yaw,t,x,y,z,note\n3.0,2,0,0,1,7\n-3.0,5,3,0,2,7\n-2.5,7.5,4,4,2,7\n"))
