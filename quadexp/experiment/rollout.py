@@ -222,9 +222,9 @@ def fly(
                 break
             try:
                 asked = gate.admit(Measurement(t, measured_state, measured, speed)), reference.window(k)
-            except UsageError:  # a plant's mistake
-                raise
             except QuadexpError as error:
+                if isinstance(error, UsageError):  # a plant's mistake
+                    raise
                 outcome = "solver_failed"
                 cause = str(error)
                 break
@@ -242,8 +242,8 @@ def fly(
                 in_c = compiled.flies
             if record.status == Status.FAILED:
                 outcome = "solver_failed"
-                cause = f"the control step failed at t={t:.2f} s"
-                cause += "" if np.isfinite(u).all() else ": its command is not finite"
+                what = "" if np.isfinite(u).all() else ": its command is not finite"
+                cause = f"the control step failed at t={t:.2f} s{what}"
                 break
         try:
             x, reading = plant.advance(x, u, period, noise)
