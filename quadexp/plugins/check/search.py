@@ -41,7 +41,7 @@ FEW = 100  # windows that every candidate is tried on first
 FINALISTS = 10  # the best of them, which are tried on all
 NOTHING = 0.7  # floors: smaller residuals leave nothing to explain
 MOVING = 2.0  # floors that a stream must move by to be compared
-TELLING = 0.6  # of a residual that may be left once a factor is undone
+TELLING = 0.6  # of a residual that may be left once a factor, or the fault of a slow flight, is undone
 PLAIN = 0.4  # of a residual that may be left for a log without IMU to have axes that no convention has
 ALIKE = 0.98  # correlation above which a factor between two streams is judged
 # Factors between two streams: relation, streams, least deviation from 1. The force has gravity for a known length.
@@ -114,7 +114,7 @@ class Trial:
             return False
         if fault in ("scale", "clock_scale") and not self.shrinks(TELLING, MOVES):
             return False  # a slope due to noise
-        if fault == "units" and not self._more_than_nothing():
+        if (fault == "units" or self.candidate.streams == "q") and not self._more_than_nothing():
             return False
         unusual = fault in ("axis_swap", "sign_flip", "units") and all(name.startswith("thrust") for name in better)
         if unusual and not self.shrinks(PLAIN, better):
@@ -125,10 +125,13 @@ class Trial:
         return any(each.ratio < DISAGREE and each.size > MOVING * each.floor for each in bettered)
 
     def _more_than_nothing(self) -> bool:
-        """Whether a stream in another unit explains more than the same stream set to zero does."""
+        """Whether a stream in another unit explains more than the same stream set to zero does, and an attitude that is
+        read otherwise more than a level one."""
         if self.candidate.streams == "t":
             return True
         silent = {name: 0.0 * self.windows.streams[name] for name in self.candidate.streams}
+        if "q" in silent:
+            silent["q"][..., 0] = 1.0
         windows = Windows(self.windows.t, {**self.windows.streams, **silent})
         nothing = _after(self.candidate, windows, self.before)
         return evidence(self.after) - evidence(nothing) > MARGIN
@@ -182,9 +185,9 @@ def explain(windows: Windows) -> tuple[list[Candidate], list[Finding]]:
         named = [trial for trial in trials if trial.left < MOST_LEFT or trial.measured]
         if not named:
             for trial in trials:
-                if trial.within_floors:
+                if trial.within_floors and trial.shrinks(TELLING, trial.better):
                     named.append(replace(trial, candidate=replace(trial.candidate, severity="warning")))
-        if trials and not named:
+        if trials and not named and not trials[0].within_floors:
             findings.append(_unexplained(trials[0]))
         if not named:
             break

@@ -36,6 +36,7 @@ from quadexp.parts.settings import REQUIRED, key, keyed
 from quadexp.physics.rotation import heading
 from quadexp.physics.state import norms
 from quadexp.plugins.logs.column_names import groups
+from quadexp.plugins.logs.importers.readers import way_of
 from quadexp.reference.base import (
     MARGIN,
     SPEED,
@@ -138,8 +139,11 @@ def _lines(path: Path) -> list[tuple[int, str]]:
     above the numbers, is none."""
     try:
         text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
         raise DataError(f"{path}: not a readable text file ({error})") from None
+    except UnicodeDecodeError as error:
+        way = way_of(path, path.read_bytes())
+        raise DataError(f"{path}: {way or f'not a readable text file ({error})'}") from None
     lines: list[tuple[int, str]] = []
     heading: list[tuple[int, str]] = []
     for number, line in enumerate(text.splitlines(), 1):

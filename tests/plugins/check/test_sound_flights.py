@@ -134,3 +134,16 @@ def test_offsets_that_scatter_by_their_own_errors_are_no_drift(rng):
         b = a + 4.0 * rng.normal(size=a.shape)
         found.append(offset.drifting(offset.as_stream((t, a), "a"), offset.as_stream((t, b), "b")))
     assert not any(found)
+
+
+@pytest.mark.parametrize("tilt", [0.07, 0.1, 0.13, 0.16])
+def test_rows_too_far_apart_do_not_say_how_a_quaternion_is_written(rng, tilt):
+    """At 1 Hz the tilt of one row says nothing of the next. Columns in another order made it smaller, as a level
+    attitude would, and were named, from 0.12 rad on as sure."""
+    t = np.arange(500.0)
+    p = np.column_stack([4 * np.cos(0.06 * t), 2 * np.sin(0.06 * t), 1 + 0 * t])
+    q = np.column_stack([np.ones(500), rng.normal(0, tilt, (500, 3)) * [1, 1, 0.4]])
+    q /= np.linalg.norm(q, axis=1)[:, None]
+    columns = {"t": t} | {f"q_{axis}": q[:, i] for i, axis in enumerate("wxyz")}
+    found = check_flight(Flight(columns | vectors(p=p, v=np.gradient(p, t, axis=0)), {"recorded": True}))
+    assert not {one.name for one in found} & {"quaternion_order", "quaternion_conjugate", "sign_flip"}

@@ -170,6 +170,7 @@ TRACK = "t,p_x,p_y,p_z\n"
         ("x,y\n0,0\n", r"line 1: no column z in the header \(found x, y; needed x, y, z, optional t and yaw"),
         ("t,x,y,z\n0,0,0,1\n0,1,0,1\n", "line 3: t = 0 s is not after 0 s"),
         ("\0\u00e9", "not a readable text file"),
+        ("\x1f\x8b\x08", "compressed by gzip: `gunzip` it first"),
     ],
 )
 def test_broken_files_are_one_line(tmp_path, text, message):
