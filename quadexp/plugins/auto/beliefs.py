@@ -98,7 +98,8 @@ def force_variance(flight: Flight, column: str) -> np.ndarray:
     half = (columns["auto_delay_high"] - columns["auto_delay_low"]) / 2  # NaN: nothing is known yet
     timing = np.hypot(half / INTERVAL.band, columns["auto_delay"] - acts)
     thrust = flight.input.sum(axis=1) * _up(flight)[:, axis]
-    late = timing / lag * behind(flight.t, thrust, lag)
+    moved = behind(flight.t, thrust, lag)
+    late = np.where(moved > 0, timing, 0.0) / lag * moved
     return variance + late**2
 
 

@@ -46,6 +46,9 @@ def test_thrusts_that_are_expected_too_late_look_like_a_force(sd, known):
     assert np.sqrt(force_variance(flight, "observer_force_z")[-1]) == pytest.approx(force[-1], rel=0.01)
     by_speeds = SimpleNamespace(**vars(flight) | {"columns": columns | {"observer_air_scale": 1 + 0.1 * t}})
     assert force_variance(by_speeds, "observer_force_z")[-1] == pytest.approx(0.0, abs=1e-9)
+    still = SimpleNamespace(t=t, columns=columns | {"auto_delay_high": np.inf * ones}, state=state)
+    still.input = np.ones((len(t), 4))  # a delay of at least some time, which thrusts that stand do not show
+    assert np.isfinite(force_variance(still, "observer_force_z")).all()
 
 
 @pytest.mark.parametrize(("up", "down"), [(0.0125, 0.025), (0.03, 0.03), (0.02, 0.01)])
