@@ -137,7 +137,11 @@ def test_a_flight_that_is_stopped_is_written() -> None:
             signal.raise_signal(signal.SIGINT)
         return 0.0
 
-    flight, _ = bridged("controller=geometric", place=stop)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # dask-jobqueue, once imported, has another one
+    try:
+        flight, _ = bridged("controller=geometric", place=stop)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert (flight.metadata["outcome"], flight.metadata["cause"]) == ("lost", "stopped by Ctrl-C")
     assert 49 <= len(flight) <= 51
     assert np.isfinite(logged_errors(flight)).all()
