@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -221,6 +222,19 @@ def build_loop(config: Config, model: ModelFile | None) -> Loop:
     return loop
 
 
+@contextmanager
+def drawing_from(entropy: int) -> Iterator[None]:
+    """Meanwhile `random` and `numpy.random`, from which a user's part may draw, follow from a number."""
+    before = random.getstate(), np.random.get_state()  # noqa: NPY002 - what such a part uses
+    random.seed(entropy)
+    np.random.seed(entropy % 2**32)  # noqa: NPY002
+    try:
+        yield
+    finally:
+        random.setstate(before[0])
+        np.random.set_state(before[1])  # noqa: NPY002
+
+
 def fly_one(
     config: Config, model: ModelFile | None = None, *, through: Callable[[Loop], Loop] = lambda loop: loop
 ) -> Flight:
@@ -245,15 +259,10 @@ def fly_one(
     flown = through(loop)
     limits = {"lost_distance": config.trajectory.lost_distance, "lost_box": config.trajectory.lost_box}
     metadata = describe(config, vehicle, model)
-    before = random.getstate(), np.random.get_state()  # noqa: NPY002 - from which a user's part may draw
-    entropy = flight_entropy(config, metadata["config"])
-    random.seed(entropy)
-    np.random.seed(entropy % 2**32)  # noqa: NPY002
-    flight = flown.fly(
-        trajectory, generator(config, metadata["config"]), digest=path_digest, metadata=metadata, **limits
-    )
-    random.setstate(before[0])
-    np.random.set_state(before[1])  # noqa: NPY002
+    with drawing_from(flight_entropy(config, metadata["config"])):
+        flight = flown.fly(
+            trajectory, generator(config, metadata["config"]), digest=path_digest, metadata=metadata, **limits
+        )
     residual = {"name": controller.residual_name, "source": controller.source}
     late, lag, age = (float(getattr(loop.plant, name, 0.0)) for name in ("loop_delay", "loop_lag", "age"))
     timing = {"age": age, "dead_time": late - age, "lag": lag}  # s, as they are

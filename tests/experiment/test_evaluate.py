@@ -11,7 +11,7 @@ from quadexp.errors import UsageError
 from quadexp.experiment import rollout
 from quadexp.experiment.build import build_vehicle, unshared
 from quadexp.experiment.collect import Setpoints, collect_flights, setpoints
-from quadexp.experiment.evaluate import InfeasibleError, fly_one, generator
+from quadexp.experiment.evaluate import InfeasibleError, drawing_from, fly_one, generator
 from quadexp.experiment.identity import digest, flight_entropy, flight_record
 from quadexp.log.schema import Flight
 from quadexp.parts.compose import compose
@@ -167,3 +167,13 @@ def test_a_flight_describes_its_vehicle():
     from quadexp.plugins.logs.vehicle_of import own_vehicle
 
     assert own_vehicle(Flight({"t": np.zeros(1)}, metadata)) == build_vehicle(config.vehicle)
+
+
+def test_draws_of_the_caller_go_on_behind_a_flight_that_raises():
+    """A part that drew from numpy.random and raised left the generator as it was for the flight."""
+    before, drawn = np.random.get_state()[1].tolist(), []  # noqa: NPY002
+    for _ in range(2):
+        with pytest.raises(UsageError), drawing_from(2**40 + 7):
+            drawn.append(np.random.random())  # noqa: NPY002
+            raise UsageError("of a part")
+    assert drawn[0] == drawn[1] and np.random.get_state()[1].tolist() == before  # noqa: NPY002

@@ -35,7 +35,7 @@ class BankSettings:
     least_reading: float = 0.02  # m/s^2, of an accelerometer
     sheet_factor: float = 3.0  # by which a data sheet may be wrong: what users state differs by that much
     noise_memory: float = 5.0  # s, of measured noises
-    measured_after: float = 0.5  # s, from which on a measured noise counts: 50 readings
+    measured_after: float = 0.5  # s, from which on a measured noise of the accelerometer counts: 50 readings
     forgetting: float = 20.0  # s, of all moments: the thrust scale moves with the battery
     settling: float = 0.1  # s, until the filters are stationary
     mean_delay: float = 0.03  # s, of the exponential prior of age plus total: delays of published vehicles
