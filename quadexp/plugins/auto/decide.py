@@ -263,8 +263,8 @@ def decision_function(
 def grids(settings: MPCSettings) -> list[MPCSettings]:
     """Settings of each grid, the softest first, for the nodes and control period of an MPC.
 
-    Where all its other weights are k times the usual ones or more, so is that of the position: a cost that is scaled
-    has the same optimum.
+    Where all its other weights are k times the usual ones or more, so are those of position and commands: a cost that
+    is scaled has the same optimum.
     """
     factors = []
     for name in ("attitude_weight", "velocity_weight", "rate_weight", "input_weight"):
@@ -278,7 +278,7 @@ def grids(settings: MPCSettings) -> list[MPCSettings]:
         first = max(grid.first_node, settings.control_period)
         horizon = max(grid.horizon, settings.nodes * first)
         x, y, z = (max(grid.position_weight * factor, asked) for asked in settings.position_weight)
-        input_weight = grid.inputs * settings.input_weight
+        input_weight = max(grid.input_weight * factor, settings.input_weight)
         timed = replace(settings, first_node=first, horizon=horizon)
         of_grids.append(replace(timed, position_weight=(x, y, z), input_weight=input_weight))
     return of_grids

@@ -126,8 +126,8 @@ class Grid:
 
     first_node: float  # s
     horizon: float  # s
-    position_weight: float
-    inputs: float = 1.0  # times the controller's weight of the commands
+    position_weight: float  # least of an MPC of usual weights, and ..
+    input_weight: float = 0.0  # .. likewise of the commands
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ class DecisionSettings:
     # times the change of a command
     grids: tuple[Grid, ...] = (
         Grid(0.06, 0.8, 40.0),
-        Grid(0.05, 0.8, 100.0, 10.0),  # without the weight of commands 0.42 of a noisy hover is at a limit
+        Grid(0.05, 0.8, 100.0, 1.0),  # without the weight of commands 0.42 of a noisy hover is at a limit
         Grid(0.02, 0.8, 200.0),  # a horizon of 0.6 s is too short for corners
     )
 
