@@ -37,7 +37,7 @@ from quadexp.physics.state import N_STATE, POSITION, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.auto.ahead import Ahead, prediction_numbers, span_weights
 from quadexp.plugins.auto.auto import Auto
-from quadexp.plugins.auto.decide import Decision
+from quadexp.plugins.auto.decide import Decision, level_acceleration
 from quadexp.plugins.auto.settings import BANK, PATH
 
 DERIVATIVES = 5  # of the path: position .. snap
@@ -148,9 +148,7 @@ def later(vehicle: Vehicle, period: float) -> ca.Function:
     before = ca.reshape(before, 3, DERIVATIVES)
     offset = ca.reshape(offset, 3, 3)
 
-    thrust = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
-    level = math.sqrt(thrust**2 - vehicle.gravity**2)
-    most = min(PATH.share * level, PATH.steepest * vehicle.gravity)
+    most = min(PATH.share * level_acceleration(vehicle), PATH.steepest * vehicle.gravity)
     least = 2 * most * period
 
     # a jump between two states, beyond what the velocity changes by anyway; where in the period it is, by the positions

@@ -120,8 +120,9 @@ class Auto(WrappedController):
         lately = self._commands.values[-count:].reshape(-1)
         form = vehicle, period, self._bank.period, lately.size, apart
         function = cached_function(backend, decision_function, *form, unsaid=unsaid)
-        places = {name: self._bank.memory.of_next[name] for name in ("count", "weights", "noise")}
-        places |= {"commands": lately, "acts": self._filter.acts}
+        places = {name: self._bank.memory.of_next[name] for name in ("count", "weights", "noise", "x")}
+        self._path = np.zeros(N_STATE)  # of the reference, later
+        places |= {"commands": lately, "acts": self._filter.acts, "path": self._path}
         places |= self._search.left | self._search.found
         self._decide = connected(function, places, {}, self._memory)
 

@@ -3,10 +3,10 @@
 age               posterior mean, where the Bayes factor against none is very strong
 dead time, lag    posterior mean, where it is positive
 stiffness         by the timing uncertainty  sigma = sd(D) + |D - acted| + max(sd(a), |a - acted| / 2) / 2, one grid at
-                  a time towards the stiffer; the stiffest where also the total is short, the estimated position has
-                  no noise and no rotor saturates. The softest, the controller's own, where age or total may be any
-                  larger one than those that are looked for, where they and the period are long, and as long as there
-                  are few readings.
+                  a time towards the stiffer; the stiffest where also the total is short and the estimated position
+                  has no noise. The softest, the controller's own, where age or total may be any larger one than those
+                  that are looked for, where they and the period are long, where rotors saturate, where the path asks
+                  for more acceleration than the vehicle has, and as long as there are few readings.
 
 A look at the evidence begins a search for the posterior where one is due: the coarse grid in the next instant, finer
 ones in those after it, each where the last one ended, until one's mode is not on its edge. As a flight begins, all are
@@ -27,6 +27,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.mpc.settings import MPCSettings
 from quadexp.names import named
 from quadexp.physics.expression import Expression, dense_function, limited, named_symbols, split
+from quadexp.physics.state import N_STATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.auto.posterior import FOUND
 from quadexp.plugins.auto.settings import BANK, DECISION, DISTURBANCE, INTERVAL
@@ -77,9 +78,9 @@ NOTHING = Decision(0.0, 0.0, 0.0, 0.0, 0.0, DISTURBANCE.unknown_timing)  # befor
 
 
 class Statistics(NamedTuple):
-    """What is measured beside the delays. busy: whether noise or saturated rotors speak against the stiffest grid.
-    acts: whether a disturbance is assumed. enough: whether there are enough readings, of little enough noise, for any
-    but the softest grid."""
+    """What is measured beside the delays. busy: whether noise speaks against the stiffest grid. acts: whether a
+    disturbance is assumed. enough: whether there are enough readings, of little enough noise, rotors that are not
+    saturated, and a path that the vehicle can follow, for any but the softest grid."""
 
     busy: Expression = 0.0
     acts: Expression = 0.0
@@ -164,17 +165,23 @@ def start_of(begin: Decision) -> dict[str, Any]:
     }
 
 
+def level_acceleration(vehicle: Vehicle) -> float:
+    """The largest one at a constant height (m/s^2)."""
+    thrust = vehicle.n_rotors * vehicle.thrust_max / vehicle.mass
+    return math.sqrt(thrust**2 - vehicle.gravity**2)
+
+
 def decision_function(
     vehicle: Vehicle, period: float, bank_period: float, commands: int, apart: float, *, unsaid: bool
 ) -> ca.Function:
     """Memory after an instant, see KEPT, and whether a decision is another one than the last, or its grid is.
 
-    count, weights, noise: of the bank. commands: the last ones (N). acts: of the disturbance. odds, at_end: of
-    the coarse grid; moved and FOUND of the finer one. apart: by which age and delays cannot be distinguished
+    count, weights, noise, x: of the bank. path: state of the reference in a time `asked`. commands: the last ones (N).
+    acts: of the disturbance. odds, at_end: of the coarse grid; moved and FOUND of the finer one. apart: by which age and delays cannot be distinguished
     (s). unsaid: whether nobody says how old rates are beside the pose.
     """
     s = DECISION
-    shapes = {"count": 1, "weights": 3, "noise": 3, "commands": commands, "acts": 3}
+    shapes = {"x": N_STATE, "path": N_STATE, "count": 1, "weights": 3, "noise": 3, "commands": commands, "acts": 3}
     shapes |= {"odds": 2, "at_end": 4, "moved": 1} | FOUND
     shapes |= {NOW + name: size for name, size in KEPT.items()}
     a = named_symbols(ca.SX, shapes)
@@ -194,9 +201,10 @@ def decision_function(
     share = looks * ca.if_else(soon, s.soonest, s.checks) / s.corners_memory
     saturates = kept["saturates"] + share * (saturated - kept["saturates"])
     position = ca.sqrt(ca.fmax(a["noise"][1], 0))
-    busy = ca.vertcat(position > s.large_noise, saturated > s.saturated, saturates > s.saturates)
+    asked = ca.norm_2(a["path"][VELOCITY] - a["x"][VELOCITY]) / s.asked
     enough = (a["count"] >= s.few_readings) * (position < s.soft_noise)
-    statistics = Statistics(busy=ca.mmax(busy), acts=enough * (ca.mmax(a["acts"]) > 0), enough=enough)
+    enough *= (saturates < s.saturates) * (asked < s.steep * level_acceleration(vehicle))
+    statistics = Statistics(busy=position > s.large_noise, acts=enough * (ca.mmax(a["acts"]) > 0), enough=enough)
     crossed = ca.vertcat(statistics.busy, statistics.acts, enough)
     has_crossed = ca.mmax(ca.fabs(crossed - kept["crossed"])) > 0
 

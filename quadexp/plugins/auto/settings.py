@@ -137,7 +137,7 @@ class DecisionSettings:
     pace: float = 0.1  # share by which evidence grows from one posterior to the next ..
     soonest: float = 0.02  # s, at least ..
     latest: float = 0.5  # s, and at most
-    checks: float = 0.1  # s, between looks at saturation
+    checks: float = 0.1  # s, between looks
     begins: float = 0.02  # s, of evidence for the first posterior
     rounding: float = 0.01  # of a control period, by which times may be off in single precision after 1000 s
     early: float = 0.6  # s, of looks every `soonest`: a push or a late pose is found by then
@@ -159,10 +159,11 @@ class DecisionSettings:
     stiff_timing: float = 0.004  # s, largest timing uncertainty under it
     middle_timing: float = 0.008  # s, likewise under the one before it
     at_limit: float = 0.999  # share of the range of a thrust from which on it is at its limit
-    saturated: float = 0.2  # share of recent commands at a limit, from which on the stiffest grid does not fly
-    saturation_memory: float = 0.3  # s
-    saturates: float = 0.03  # likewise of those over corners_memory
-    corners_memory: float = 10.0  # s: a path that saturates rotors does so again
+    saturation_memory: float = 0.3  # s, of commands in a look at how many are at a limit
+    corners_memory: float = 10.0  # s, of looks: a path that saturates rotors does so again
+    saturates: float = 0.1  # share of these at a limit, from which on the controller's own horizon flies
+    asked: float = 0.8  # s, that of these horizons, in which a path ..
+    steep: float = 0.83  # .. may ask for this share of the vehicle's level acceleration: more, and it has a jump
     largest_lead: float = 2.0  # gain of an inverted lag on a change of thrust; the rest of the lag is predicted: 1.12
     most_inverted: float = 0.03  # s, of a lag: what that gain is at 50 Hz; slower, commands went from limit to limit
     largest_wait: float = 0.1  # s, over which an MPC predicts
