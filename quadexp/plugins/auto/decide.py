@@ -196,8 +196,9 @@ def decision_function(
 
     # a look at what is measured
     low, high = vehicle.thrust_min, vehicle.thrust_max
-    off = ca.fabs(a["commands"] - (low + high) / 2)
-    saturated = ca.sum1(off > s.at_limit * (high - low) / 2) / commands
+    n = vehicle.n_rotors
+    held = (a["commands"][n:] + a["commands"][:-n]) / 2  # two in a row are at a limit: noise brings them there once
+    saturated = ca.sum1(ca.fabs(held - (low + high) / 2) > s.at_limit * (high - low) / 2) / (commands - n)
     share = looks * ca.if_else(soon, s.soonest, s.checks) / s.corners_memory
     saturates = kept["saturates"] + share * (saturated - kept["saturates"])
     position = ca.sqrt(ca.fmax(a["noise"][1], 0))

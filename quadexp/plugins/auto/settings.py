@@ -160,8 +160,8 @@ class DecisionSettings:
     middle_timing: float = 0.008  # s, likewise under the one before it
     at_limit: float = 0.999  # share of the range of a thrust from which on it is at its limit
     saturation_memory: float = 0.3  # s, of commands in a look at how many are at a limit
-    corners_memory: float = 10.0  # s, of looks: a path that saturates rotors does so again
-    saturates: float = 0.1  # share of these at a limit, from which on the controller's own horizon flies
+    corners_memory: float = 5.0  # s, of looks: a path that saturates rotors does so again
+    saturates: float = 0.12  # share of these at a limit, from which on the controller's own horizon flies
     asked: float = 0.8  # s, that of these horizons, in which a path ..
     steep: float = 0.83  # .. may ask for this share of the vehicle's level acceleration: more, and it has a jump
     largest_lead: float = 2.0  # gain of an inverted lag on a change of thrust; the rest of the lag is predicted: 1.12
