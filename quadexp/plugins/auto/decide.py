@@ -177,8 +177,8 @@ def decision_function(
     """Memory after an instant, see KEPT, and whether a decision is another one than the last, or its grid is.
 
     count, weights, noise, x: of the bank. path: state of the reference in a time `asked`. commands: the last ones (N).
-    acts: of the disturbance. odds, at_end: of the coarse grid; moved and FOUND of the finer one. apart: by which age and delays cannot be distinguished
-    (s). unsaid: whether nobody says how old rates are beside the pose.
+    acts: of the disturbance. odds, at_end: of the coarse grid; moved and FOUND of the finer one. apart: by which age
+    and delays cannot be distinguished (s). unsaid: whether nobody says how old rates are beside the pose.
     """
     s = DECISION
     shapes = {"x": N_STATE, "path": N_STATE, "count": 1, "weights": 3, "noise": 3, "commands": commands, "acts": 3}
@@ -203,8 +203,9 @@ def decision_function(
     saturates = kept["saturates"] + share * (saturated - kept["saturates"])
     position = ca.sqrt(ca.fmax(a["noise"][1], 0))
     asked = ca.norm_2(a["path"][VELOCITY] - a["x"][VELOCITY]) / s.asked
-    enough = (a["count"] >= s.few_readings) * (position < s.soft_noise)
-    enough *= (saturates < s.saturates) * (asked < s.steep * level_acceleration(vehicle))
+    readings = (a["count"] >= s.few_readings) * (position < s.soft_noise)
+    asked = ca.norm_2(a["path"][VELOCITY] - a["x"][VELOCITY]) / s.asked
+    enough = readings * (saturates < s.saturates) * (asked < s.steep * level_acceleration(vehicle))
     statistics = Statistics(busy=position > s.large_noise, acts=enough * (ca.mmax(a["acts"]) > 0), enough=enough)
     crossed = ca.vertcat(statistics.busy, statistics.acts, enough)
     has_crossed = ca.mmax(ca.fabs(crossed - kept["crossed"])) > 0
@@ -260,7 +261,7 @@ def decision_function(
         "at_end": of["at_end"],
         "decision": decision,
         "unsure": unsure,
-        "late": ca.if_else(ca.logic_and(is_known, enough), late, kept["late"]),
+        "late": ca.if_else(ca.logic_and(is_known, readings), late, kept["late"]),
         "apart": ca.hypot(unsure, ca.hypot(late * is_known, predicted_over)),
         "beliefs": ca.vertcat(beliefs, decision[:3], acts.grid),
     }

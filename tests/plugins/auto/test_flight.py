@@ -122,7 +122,7 @@ def test_behind_a_corner_the_rotors_do_not_swing_between_their_limits():
 
 
 def test_corners_that_a_vehicle_cannot_fly_are_flown_as_without():
-    """A light quadrotor that turns by 90 degrees at 10 m/s: on stiff horizons it left the corridor, in 3 of 4 worlds."""
+    """A light quadrotor that turns by 90 degrees at 10 m/s: on stiff horizons it left its corridor."""
     path = ["trajectory=rectangle", "trajectory.start=reference", "trajectory.duration=12", "trajectory.speed=10"]
     drag = ["plant.linear_drag=[0.0081,0.0081,0]", "plant.quadratic_drag=[0.00216,0.00216,0.00216]"]
     words = ["vehicle=crazyflie", *drag, *path, "seed=17"]
