@@ -23,6 +23,7 @@ class AutoPart(Compensation):
 
     prefix = "delay."
     believes = True
+    alone = True
 
     def scales_air(self, context: BuildContext) -> bool:
         """See Remedy."""
@@ -41,12 +42,13 @@ class AutoPart(Compensation):
 
     def put_around(self, controller: Any, context: BuildContext) -> Auto:
         """See Remedy. UsageError where the controller learns its model itself, or has other remedies around it."""
-        if type(controller) is PredictiveController:
-            return AutoMPC(controller, context.sensor_spec)
-        if isinstance(controller, ExplicitController):
-            return AutoLaw(controller, context.sensor_spec)
         others = [remedy.prefix.rstrip(".") for remedy in context.remedies if remedy.prefix != self.prefix]
-        here = f"; set {' and '.join(f'{group}=none' for group in others)}" if others else ", which this one is not"
+        here = f"; set {' and '.join(f'{group}=none' for group in others)}"
+        around: Any = AutoMPC if type(controller) is PredictiveController else AutoLaw
+        if around is AutoLaw and not isinstance(controller, ExplicitController):
+            here = ", which this one is not"
+        elif not others:
+            return around(controller, context.sensor_spec)
         raise UsageError(
             f"delay={self.name}: stands alone around an MPC whose model does not adapt, or a law in closed form{here}"
         )
