@@ -73,7 +73,7 @@ def with_timing(config: Config, given: Collection[str], motor: str) -> Config:
         if value and alone and f"timing.{name}" in given:
             raise UsageError(f"{text}: {alone} finds delays itself; leave it out")
         if name not in taken and f"timing.{name}" in given:
-            these = f"; these do: {', '.join(options[:MOST_NAMED])}" if (options := takers(name)) else ""
+            these = f"; parts that do: {', '.join(options[:MOST_NAMED])}" if (options := takers(name)) else ""
             raise UsageError(f"{text}: nothing in this configuration uses it{these}")
     return config
 

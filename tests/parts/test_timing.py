@@ -39,7 +39,7 @@ def test_it_stands_for_the_keys_of_the_parts(together, apart):
         ("controller=pid timing.dead_time=0.01", "timing.dead_time=0.01: nothing in this configuration uses it"),
         pytest.param(
             "timing.age=0.01",
-            "timing.age=0.01: nothing in this configuration uses it; these do: delay=prediction",
+            "timing.age=0.01: nothing in this configuration uses it; parts that do: delay=prediction",
             marks=needs("remedies"),
         ),
         pytest.param(

@@ -31,13 +31,11 @@ class AutoPart(Compensation):
 
     def suited(self, settings: Any) -> Any:
         """See Remedy. UsageError where it is given what it finds itself, or to plan otherwise than it does."""
-        if settings.dead_time or settings.known_lag:
-            raise UsageError(
-                f"delay={self.name}: finds dead time and lag itself; controller.dead_time, controller.motor_lag and"
-                " controller.motor_lead must be 0: leave out motor=.. and timing.*, which set them"
-            )
+        names = "dead_time", "motor_lag", "motor_lead"
+        if given := [f"controller.{name}=0" for name in names if getattr(settings, name)]:
+            raise UsageError(f"delay={self.name}: finds dead time and lag itself; set {' '.join(given)}")
         if settings.input_hold == "command":
-            raise UsageError(f"delay={self.name}: plans with controller.input_hold=deviation only")
+            raise UsageError(f"delay={self.name}: plans otherwise; set controller.input_hold=deviation")
         return grids(replace(settings, input_hold="deviation"))[0]
 
     def put_around(self, controller: Any, context: BuildContext) -> Auto:

@@ -430,9 +430,12 @@ def test_a_law_flies_corners_in_wind(sensor, seed):
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (["controller=nominal_mpc", "controller.dead_time=0.01"], "finds dead time and lag itself"),
-        (["controller=nominal_mpc", "motor=states"], r"finds .*: leave out motor=\.\. and timing\.\*, which set them"),
-        (["controller=nominal_mpc", "controller.input_hold=command"], "plans with controller.input_hold=deviation"),
+        (
+            ["controller=nominal_mpc", "controller.dead_time=0.01", "motor=states"],
+            ".* set .*dead_time=0 .*motor_lag=0$",
+        ),
+        (["controller=sun_mpc"], ".*; set controller.motor_lead=0$"),
+        (["controller=nominal_mpc", "controller.input_hold=command"], ".*; set controller.input_hold=deviation$"),
         (["controller=nominal_mpc", "observer=disturbance"], ".*; set observer=none$"),
         (["controller=nominal_mpc", "observer=wind"], ".*; set observer=none$"),
         (["controller=online_mpc", "observer=wind"], ".* closed form, which this one is not$"),
