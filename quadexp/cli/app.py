@@ -8,6 +8,7 @@ time.
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Iterable
 from functools import cache
@@ -116,17 +117,19 @@ def _run() -> int:
             print(error.format_message(), file=sys.stderr)
             code = 2
         else:
-            fail(f"{error.format_message().rstrip('.')}{_as_setting(getattr(error, 'option_name', ''))}", 2)
+            fail(f"{error.format_message().rstrip('.')}{_beside(error)}", 2)
             code = getattr(error, "exit_code", 2)
     return code if isinstance(code, int) else 0
 
 
-def _as_setting(option: str) -> str:
-    """Where an option that there is not has the name of a setting, how that is given; "" otherwise."""
+def _beside(error: Any) -> str:
+    """Of an option that there is not and that has the name of a setting, how that is given; of another one, and of a
+    command, that nothing is like, where it may have come from; "" otherwise."""
     from quadexp.parts.listing import key_words
     from quadexp.parts.options import groups
 
-    name = option.lstrip("-").replace("-", "_")
+    name = getattr(error, "option_name", "").lstrip("-").replace("-", "_")
     if name in key_words("") or name in groups():
         return f"; a setting is given without dashes: {name}=VALUE"
-    return ""
+    unknown = re.fullmatch(r"No such (command|option:) [^?]+", error.format_message())
+    return "; no installed plug-in has it (quadexp/plugins)" if unknown else ""

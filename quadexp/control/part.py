@@ -57,9 +57,11 @@ class ControllerPart(Part):
 
 @keyed
 class Compensation(Part):
-    """A compensation. believes: whether it tells the controller of disturbances, see control/base.py."""
+    """A compensation. believes: whether it tells the controller of disturbances, see control/base.py. alone: whether it
+    finds delays itself, and refuses other compensations and delays that are given."""
 
     believes: ClassVar[bool] = False
+    alone: ClassVar[bool] = False
 
     def scales_air(self, context: BuildContext) -> bool:
         """Whether it finds a scale of the controller's model of the air."""

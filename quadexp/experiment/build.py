@@ -218,7 +218,7 @@ def build_controller(config: Config, vehicle: Vehicle, plant: Any, model: ModelF
     def make() -> Any:
         built = checked("controller", controller, controller.anew().build(context))
         try:
-            for remedy in around.values():
+            for remedy in sorted(around.values(), key=lambda remedy: not remedy.alone):  # which refuses the others
                 built = remedy.anew().put_around(built, context)
         except UsageError as error:
             raise UsageError(f"controller={controller.name}: {error}") from None
@@ -251,7 +251,7 @@ def build_residual(kinds: tuple[str, ...], vehicle: Vehicle, plant: Any, model: 
 def check_remedies(config: Config, vehicle: Vehicle, plant: Any) -> None:
     """Raise UsageError where a compensation needs what neither vehicle nor world measure, nor the other parts know."""
     around = tuple(remedies(config).values())
-    for remedy in around:
+    for remedy in [remedy for remedy in around if remedy.alone] or around:
         remedy.check(vehicle, plant, config.controller, around)
 
 

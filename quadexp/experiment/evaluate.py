@@ -267,7 +267,8 @@ def fly_one(
     late, lag, age = (float(getattr(loop.plant, name, 0.0)) for name in ("loop_delay", "loop_lag", "age"))
     timing = {"age": age, "dead_time": late - age, "lag": lag}  # s, as they are
     flight.metadata.update(reference_note=note, residual=residual, margins=flown.margins, timing=timing)
-    flight.metadata["lacking"] = list(getattr(controller, "missing_inputs", ()))
+    if hasattr(controller, "remarks"):
+        flight.metadata["lacking"] = controller.remarks(flight.columns, flown.margins)
     if getattr(config.controller, "attitude_error", "") == "plain" and len(flight):
         reference = flight.stack([f"ref_{name}" for name in STATE_COLUMNS[ATTITUDE]])
         flight.metadata["yaw_share"] = yaw_share(reference, np.array(config.controller.attitude_weight))

@@ -47,8 +47,10 @@ def with_timing(config: Config, given: Collection[str], motor: str) -> Config:
     """
     known = {name: value for name in TIMES if (value := getattr(config.timing, name)) is not None}
     taken = set[str]()
+    alone = ""
     for group in PARTS:
         part = getattr(config, group)
+        alone = f"{group}={part.name}" if getattr(part, "alone", False) else alone
         names = declared(type(part))
         changes: dict[str, Any] = {}
         for name, value in known.items():
@@ -66,19 +68,23 @@ def with_timing(config: Config, given: Collection[str], motor: str) -> Config:
                 changes[at] = value
         if changes:
             config = replace(config, **{group: replace(part, **changes)})
-    for name in known.keys() - taken:
-        if f"timing.{name}" in given:
-            advice = f": add {', '.join(options[:MOST_NAMED])}" if (options := takers(name)) else ""
-            raise UsageError(f"timing.{name}={known[name]:g}: nothing in this configuration uses it{advice}")
+    for name, value in known.items():
+        text = f"timing.{name}={value:g}"
+        if value and alone and f"timing.{name}" in given:
+            raise UsageError(f"{text}: {alone} finds delays itself; leave it out")
+        if name not in taken and f"timing.{name}" in given:
+            these = f"; parts that do: {', '.join(options[:MOST_NAMED])}" if (options := takers(name)) else ""
+            raise UsageError(f"{text}: nothing in this configuration uses it{these}")
     return config
 
 
 def takers(name: str) -> list[str]:
-    """The options that take a key of `timing`, GROUP=OPTION, those around a controller first."""
+    """The options that take a key of `timing` and need no checkpoint, GROUP=OPTION, those around a controller first."""
     files = OptionFiles(own_folders())
     options = []
     for group in (*REMEDIES, "controller"):
         for option, part in files.parts(group).items():
-            if (part.age_key if name == "age" else name) in declared(part):
+            takes = (part.age_key if name == "age" else name) in declared(part)
+            if takes and "models" not in files.option(group, option).values:
                 options.append(f"{group}={option}")
     return options

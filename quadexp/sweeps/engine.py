@@ -22,6 +22,7 @@ from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, TimeoutError, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from multiprocessing.context import ForkServerContext, ForkServerProcess
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -42,6 +43,8 @@ CHECKED = 1.0  # s between checks of the pool
 # Exceptions of a call whose process died or took too long, or whose pool was given up.
 GONE = (ProcessExpired, TimeoutError, BrokenProcessPool, CancelledError)
 _SET_PARENT_DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of linux/prctl.h
+
+ENDED = 256  # beyond all exit codes: of a process that ended with 0, which pebble takes for asked to
 
 Progress = Callable[[int, int], None]  # called with the numbers of cells done and of all
 
@@ -130,6 +133,21 @@ def default_workers() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+class Worker(ForkServerProcess):
+    """A process of a pool."""
+
+    @property
+    def exitcode(self) -> int | None:
+        """Never 0, see ENDED."""
+        return ENDED if super().exitcode == 0 else super().exitcode
+
+
+class Forkserver(ForkServerContext):
+    """Starts such processes."""
+
+    Process = Worker
+
+
 class Workers:
     """Processes for calls of functions, started with the first call; a context, at whose end they are gone.
 
@@ -179,13 +197,14 @@ class Workers:
             self.stop()
         if self._pool is None:
             folders = own_folders() if self._folders is None else tuple(self._folders)
-            context = multiprocessing.get_context("forkserver")
             most = min(self._most, max(calls, self._calls))
             multiprocessing.current_process().daemon = False  # which might have no children: one of a pool, or a nanny
             with undisturbed():  # processes whose parent ends while they start print long tracebacks
                 start_server([*self._preload, function.__module__])
                 surroundings = self._memory, os.environ.get(PATH), folders
-                self._pool = ProcessPool(max_workers=most, context=context, initializer=begin, initargs=surroundings)
+                self._pool = ProcessPool(
+                    max_workers=most, context=Forkserver(), initializer=begin, initargs=surroundings
+                )
                 wait([self._pool.schedule(time.sleep, args=(PAUSE,)) for _ in range(most)], timeout=STARTING)
         return self._pool.schedule(function, args=arguments, timeout=timeout)
 
@@ -257,7 +276,7 @@ def cause(error: BaseException, timeout: float | None) -> str:
     if isinstance(error, (BrokenProcessPool, CancelledError)):
         return "its process died"
     if isinstance(error, ProcessExpired):
-        return f"its process died (exit code {error.exitcode})"
+        return f"its process died (exit code {0 if error.exitcode == ENDED else error.exitcode})"
     if isinstance(error, MemoryError):
         return "took more memory than evaluate.memory allows"
     text = str(error).strip().splitlines()

@@ -39,8 +39,13 @@ def test_it_stands_for_the_keys_of_the_parts(together, apart):
         ("controller=pid timing.dead_time=0.01", "timing.dead_time=0.01: nothing in this configuration uses it"),
         pytest.param(
             "timing.age=0.01",
-            "timing.age=0.01: nothing in this configuration uses it: add delay=prediction",
+            "timing.age=0.01: nothing in this configuration uses it; parts that do: delay=prediction",
             marks=needs("remedies"),
+        ),
+        pytest.param(
+            "controller=geometric timing.age=0.01 delay=auto",
+            "^timing.age=0.01: delay=auto finds delays itself; leave it out$",
+            marks=needs("auto", "laws"),
         ),
         ("timing.dead_time=2", "must be in"),
         ("timing.dead=1", "did you mean timing.dead_time"),

@@ -49,6 +49,7 @@ def test_the_program_flies_without_it(name, checkout):
     for word in list(brings)[:1]:
         refused = command(word, "x")
         assert refused.returncode == 2 and refused.stderr.count("\n") == 1 and word in refused.stderr, refused.stderr
+        assert "Did you mean" in refused.stderr or "has it (quadexp/plugins)" in refused.stderr
 
 
 @needs("logs", "check")
@@ -97,7 +98,7 @@ def test_the_core_does_its_work_without_all_of_them(checkout):
         (("simulate", *FLIGHT, "world=everything"), "wind=dryden: the plug-in quadexp/plugins/worlds is not there"),
         (("simulate", *FLIGHT, "timing.age=0.01"), "timing.age=0.01: nothing in this configuration uses it"),
         (("evaluate", *FLIGHT, "evaluate.workers=1"), "is not used by evaluate; add --sweep"),
-        (("results", "a", "--html", "a.html"), "No such option: --html"),
+        (("results", "a", "--html", "a.html"), "--html; no installed plug-in has it (quadexp/plugins)"),
         (("show", "a", "--margins"), "No such option: --margins"),
     ):
         done = command(*words)

@@ -97,7 +97,7 @@ def run(function, jobs, **options):
 
 
 def test_poisoned_cells_cost_themselves_only(tmp_path):
-    kinds = ["fine", "raise", "kill", "exit", "loop", "kill_once", "also_fine", "still_fine"]
+    kinds = ["fine", "raise", "kill", "exit", "end", "loop", "kill_once", "also_fine", "still_fine"]
     results = run(cells.misbehave, {kind: (kind, str(tmp_path)) for kind in kinds}, workers=2, timeout=5.0)
     assert set(results) == set(kinds)
     for kind in ("fine", "also_fine", "still_fine", "kill_once"):
@@ -105,6 +105,7 @@ def test_poisoned_cells_cost_themselves_only(tmp_path):
     assert results["raise"] == CellFailed("ValueError: a bad")
     assert "died (exit code -9)" in results["kill"].cause
     assert "died (exit code 3)" in results["exit"].cause
+    assert "died (exit code 0)" in results["end"].cause, "waited for until the timeout"
     assert results["loop"].cause == "took longer than 5 s"
     tries = {kind: len((tmp_path / kind).read_text()) for kind in kinds}
     assert tries["raise"] == 1, "an exception would come again"

@@ -47,7 +47,7 @@ LONGEST = BANK.largest_dead_time + BANK.largest_lag  # s, that a law is given ah
 class AutoLaw(Auto):
     """A law, which is given the state and the reference of the time at which its command acts."""
 
-    judged = "with the delays found"
+    settles = "with the delays found"
 
     def __init__(self, core: Any, sensor_spec: SensorSpec) -> None:
         vehicle, backend = core.vehicle, core.backend

@@ -33,7 +33,7 @@ GRID = slice(4, 5)  # of a Decision
 class AutoMPC(Auto):
     """The MPC plans in the world that is assumed; its grid and weights are one of DECISION.grids."""
 
-    judged = "with the stiffest horizon that it may choose"
+    settles = "with the stiffest horizon that it may choose"
 
     def __init__(self, core: PredictiveController, sensor_spec: SensorSpec) -> None:
         core.targets = speeds_tell(core.vehicle, sensor_spec)  # else of next to no weight beside that of the position

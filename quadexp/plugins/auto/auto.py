@@ -11,7 +11,7 @@ commands, the last decision. Columns: COLUMNS, delays in s with their 95 % inter
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -66,7 +66,7 @@ class Auto(WrappedController):
 
     wrapped: Any
     delay = 0.0  # of a flight that begins
-    judged = ""  # what its margins are of
+    settles = ""  # what its margins are of, where the delays are among those that it looks for
 
     def __init__(self, core: Any, sensor_spec: SensorSpec, residual: Residual, theta: np.ndarray) -> None:
         super().__init__(core)
@@ -82,6 +82,7 @@ class Auto(WrappedController):
         self._strapdown = Layer(core, strapdown, Circumstances(period), places={"late": self._late})
         self._rows = np.zeros(len(core.node_times))
         self._judged, self._begin = False, NOTHING
+        self.judged: dict[str, Any] = {}  # what its margins are of, and the grid
         self._tune: BufferedFunction
         self._plan: Memory
 
@@ -172,6 +173,8 @@ class Auto(WrappedController):
         """Meanwhile it flies as it does once these delays (s) have been found, with the stiffest grid that it then may
         choose: what margins are taken of."""
         self._begin, self._judged = known(age, dead_time, lag, self.control_period), True
+        found = self.settles if self.looks_for(age, dead_time, lag) else "with the largest delays that are looked for"
+        self.judged = {"judged": found, "grid": self._begin.grid}
         try:
             yield
         finally:
@@ -231,9 +234,8 @@ class Auto(WrappedController):
             memory = (*memory, self._search.memory, self._memory, self._plan)
         return step._replace(calls=calls, logged=logged, memory=memory)
 
-    @property
-    def missing_inputs(self) -> list[str]:
-        """What it lacks here, and what that leaves undone; a line each."""
+    def remarks(self, columns: Mapping[str, np.ndarray], margins: Mapping[str, Any]) -> list[str]:
+        """On a flight: what it lacked, and what that left undone; how it flew otherwise than its margins say."""
         missing = []
         if not self._sensor_spec.accelerometer:
             missing.append("no accelerometer: delays, wind and force are not found")
@@ -243,6 +245,10 @@ class Auto(WrappedController):
             missing.append("a law that cannot be given a force or wind: only a late state is corrected")
         elif not (self._has_drag or self._by_speeds):
             missing.append("no drag in the model that shows a wind: it is a force")
+        stiffer = np.sum(columns["auto_grid"] > margins.get("grid", math.inf))
+        if stiffer:
+            share = 100 * stiffer / len(columns["auto_grid"])
+            missing.append(f"a stiffer horizon than that of the margins in {share:.2g} % of the time")
         return missing
 
     def log(self) -> dict[str, float]:

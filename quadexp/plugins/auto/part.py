@@ -23,6 +23,7 @@ class AutoPart(Compensation):
 
     prefix = "delay."
     believes = True
+    alone = True
 
     def scales_air(self, context: BuildContext) -> bool:
         """See Remedy."""
@@ -30,23 +31,22 @@ class AutoPart(Compensation):
 
     def suited(self, settings: Any) -> Any:
         """See Remedy. UsageError where it is given what it finds itself, or to plan otherwise than it does."""
-        if settings.dead_time or settings.known_lag:
-            raise UsageError(
-                f"delay={self.name}: finds dead time and lag itself; controller.dead_time, controller.motor_lag and"
-                " controller.motor_lead must be 0: leave out motor=.. and timing.*, which set them"
-            )
+        names = "dead_time", "motor_lag", "motor_lead"
+        if given := [f"controller.{name}=0" for name in names if getattr(settings, name)]:
+            raise UsageError(f"delay={self.name}: finds dead time and lag itself; set {' '.join(given)}")
         if settings.input_hold == "command":
-            raise UsageError(f"delay={self.name}: plans with controller.input_hold=deviation only")
+            raise UsageError(f"delay={self.name}: plans otherwise; set controller.input_hold=deviation")
         return grids(replace(settings, input_hold="deviation"))[0]
 
     def put_around(self, controller: Any, context: BuildContext) -> Auto:
         """See Remedy. UsageError where the controller learns its model itself, or has other remedies around it."""
-        if type(controller) is PredictiveController:
-            return AutoMPC(controller, context.sensor_spec)
-        if isinstance(controller, ExplicitController):
-            return AutoLaw(controller, context.sensor_spec)
         others = [remedy.prefix.rstrip(".") for remedy in context.remedies if remedy.prefix != self.prefix]
-        here = f"; set {' and '.join(f'{group}=none' for group in others)}" if others else ", which this one is not"
+        here = f"; set {' and '.join(f'{group}=none' for group in others)}"
+        around: Any = AutoMPC if type(controller) is PredictiveController else AutoLaw
+        if around is AutoLaw and not isinstance(controller, ExplicitController):
+            here = ", which this one is not"
+        elif not others:
+            return around(controller, context.sensor_spec)
         raise UsageError(
             f"delay={self.name}: stands alone around an MPC whose model does not adapt, or a law in closed form{here}"
         )

@@ -53,8 +53,7 @@ def loop_margins(controller: Any, plant: Any) -> dict[str, Any]:
     if plant not in known:
         try:
             known[plant] = margins(hover_loop(controller, plant))
-            if judged := getattr(controller, "judged", ""):
-                known[plant]["judged"] = judged
+            known[plant] |= getattr(controller, "judged", {})
         except UnknownLoopError as error:
             known[plant] = {"unknown": str(error)}
     return known[plant]
@@ -104,7 +103,8 @@ def path_margins(config: Config, model: ModelFile | None) -> list[dict[str, Any]
 
         window, state = lambda k: reference.window(instant(k)), lambda k: reference.at(instant(k))[0]
         try:
-            loop = linear_loop(controller, plant, window, state, (SETTLING[0], SETTLING[0]))
+            with _settled(controller, plant):
+                loop = linear_loop(controller, plant, window, state, (SETTLING[0], SETTLING[0]))
         except UnknownLoopError as error:
             raise UsageError(f"--margins: not known of {controller.name} in this world: {error}") from None
         speed = float(np.linalg.norm(reference.at(int(at))[0][VELOCITY]))

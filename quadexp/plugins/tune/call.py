@@ -168,9 +168,13 @@ def _lines(search: Search, trials: Sequence[Trial], best: int) -> list[str]:
         margin = f", delay margin {1e3 * worth.margin:.0f} ms" if np.isfinite(worth.margin) else ""
         error = f"{number(factor * worth.error)} {unit}"
         lines.append(f"  {what}  {error}, {worth.lost} of {search.flights} flights lost{margin}")
-    if best:
-        return lines
-    return [*lines, "  nothing better was found: the settings stay as they were"]
+    if not best:
+        lines.append("  nothing better was found: the settings stay as they were")
+    if none := sum(trial.worth.lost == search.flights for trial in trials):
+        lines.append(f"  {none} of the trials completed no flight: lost, or of settings that contradict each other")
+    if trials[best].worth.margin < search.request.least_margin:
+        lines.append(f"  no trial has the delay margin of {1e3 * search.request.least_margin:g} ms that is asked for")
+    return lines
 
 
 def _write_history(out: Path, request: Request, search: Search, trials: Sequence[Trial]) -> Path:

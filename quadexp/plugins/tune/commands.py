@@ -24,8 +24,8 @@ def tune(
     A trial flies every combination of the values given; its worth is the mean logarithm of the error (evaluate.metric),
     and lost flights count more than any error, the earlier the more. The first trial is the option as it is. Without
     --vary, the space is that of docs/tuning.md. What is found is written as an option,
-    DIR/controller/NAME_tuned.yaml, for `--conf DIR controller=NAME_tuned`. An interrupted search continues where
-    it stopped, and so does one whose budget is raised; --force begins anew.
+    DIR/controller/NAME_tuned.yaml, for `--conf DIR controller=NAME_tuned`; with remedies, in DIR/remedies. An
+    interrupted search continues where it stopped, and so does one whose budget is raised; --force begins anew.
 
     \b
     quadexp tune controller=gp_mpc model=models/gp world=clean,only_wind trajectory=circle,lemniscate \\

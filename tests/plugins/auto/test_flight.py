@@ -245,6 +245,17 @@ def test_it_is_not_refused_for_the_stiffest_horizon_that_it_may_choose(monkeypat
     assert "is not stable at hover, with the stiffest horizon" in "\n".join(flight_lines(flight.metadata))
 
 
+def test_margins_of_longer_delays_than_are_looked_for_are_of_the_softest_horizon(monkeypatch):
+    """They were called those of the stiffest, and a stiffer one flew."""
+    monkeypatch.undo()  # margins are computed
+    late = "link=latency", "link.latency=0.1", "trajectory=hover", "trajectory.duration=2"
+    flight = fly_one(compose(["controller=perfect_mpc", *late, "remedies=auto"]))
+    lines = "\n".join(flight_lines(flight.metadata))
+    assert "(at hover, with the largest delays that are looked for)" in lines
+    share = 100 * (flight["auto_grid"] > 0).mean()
+    assert share > 1 and f"a stiffer horizon than that of the margins in {share:.2g} % of the time" in lines
+
+
 @pytest.mark.parametrize(
     ("world", "sensor", "most"),
     [
@@ -441,13 +452,15 @@ def test_a_law_flies_corners_in_wind(sensor, seed):
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (["controller=nominal_mpc", "controller.dead_time=0.01"], "finds dead time and lag itself"),
         (
-            ["controller=nominal_mpc", "timing.motor_lag=0.02"],
-            r"finds .*: leave out motor=\.\. and timing\.\*, which set them",
+            ["controller=nominal_mpc", "controller.dead_time=0.01", "motor=states"],
+            ".* set .*dead_time=0 .*motor_lag=0$",
         ),
-        (["controller=nominal_mpc", "controller.input_hold=command"], "plans with controller.input_hold=deviation"),
+        (["controller=sun_mpc"], ".*; set controller.motor_lead=0$"),
+        (["controller=nominal_mpc", "controller.input_hold=command"], ".*; set controller.input_hold=deviation$"),
         (["controller=nominal_mpc", "observer=disturbance"], ".*; set observer=none$"),
+        (["controller=nominal_mpc", "observer=wind"], ".*; set observer=none$"),
+        (["controller=online_mpc", "observer=wind"], ".* closed form, which this one is not$"),
         (["controller=nominal_mpc", "adaptive=l1", "rate_loop=indi"], ".*; set adaptive=none and rate_loop=none$"),
         (
             ["controller=rls_mpc", "vehicle=lei_li", "plant=blade_element"],

@@ -93,11 +93,13 @@ def test_the_hash_of_a_law_does_not_know_of_what_is_as_usual():
     assert recorded("controller=nominal_mpc")["allow_unstable"] is False
 
 
-def test_margins_along_a_path_begin_with_those_at_hover(tmp_path):
-    """At rest at the beginning; of a flight's file as of its settings."""
-    words = ["controller=geometric", "trajectory=circle", "trajectory.speed=6", "world=only_latency"]
+@pytest.mark.parametrize("remedies", ["none", "auto"])
+def test_margins_along_a_path_begin_with_those_at_hover(tmp_path, remedies):
+    """At rest at the beginning; of a flight's file as of its settings. With auto these were of its first instants."""
+    loop = ["controller=geometric", "world=only_latency", f"remedies={remedies}"]
+    words = [*loop, "trajectory=circle", "trajectory.speed=6"]
     rows = along_path(words)
-    known = flown("controller=geometric", "world=only_latency")["margins"]
+    known = flown(*loop)["margins"]
     assert len(rows) == 9 and rows[0]["speed"] < 0.1 and max(row["speed"] for row in rows) > 5
     assert rows[0]["delay"] == pytest.approx(known["delay"], rel=0.02)
     write_flight(tmp_path / "flight.parquet", fly_one(compose(words)))

@@ -118,6 +118,15 @@ def test_a_least_delay_margin_is_kept(tmp_path):
     assert min(short) > max(trial.worth.value for trial in trials if trial.worth.margin >= 0.06)
 
 
+def test_what_no_trial_has_is_said(tmp_path):
+    """A margin of 400 ms; and more nodes than the rate allows fly nowhere."""
+    asked = Tune(vary=("controller.nodes=10..40",), flights=4, delay_margin=0.4)
+    given = ["controller=nominal_mpc", "controller.rate=10", *HOVER, "plant=ideal", "seed=7"]
+    lines = "\n".join(tune(given, asked, out=tmp_path / "t", isolate=False, figure=False).lines)
+    assert "no trial has the delay margin of 400 ms" in lines
+    assert "of the trials completed no flight" in lines
+
+
 def test_a_margin_is_asked_of_what_has_one(tmp_path):
     with pytest.raises(UsageError, match="none is known of open_loop"):
         tuned(tmp_path, delay_margin=0.05, flights=4)
