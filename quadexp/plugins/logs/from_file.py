@@ -66,7 +66,7 @@ SMOOTH = 0.3  # s: what is proposed for a noisy track
 EPOCH = {1e17: 1e-9, 1e14: 1e-6, 1e11: 1e-3}  # times from these on -> s of their unit: since 1970 they are of 1973 on
 SI = {"1": 1.0} | UNITS["time"] | UNITS["length"] | UNITS["angle"]
 GAP = 10.0  # times the median step between two rows: rows are missing
-NOISY = 3.0  # times the acceleration of the smoothed track: more is noise
+NOISY = 3.0  # times the snap of the smoothed track: more is noise
 TUM = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 HEADINGS = ("yaw", "heading")  # rad, unless name or numbers say degrees
 FULL_TURN = 6.5  # rad: a heading that stays within is taken as radians
@@ -325,7 +325,7 @@ class FileTrajectory(LimitedTrajectory):
         if not isinstance(self.flown, SampledTrack):
             return "stretch the times in the file"
         smoothed = replace(self.flown, smooth=max(SMOOTH, 2 * self.flown.smooth))
-        peak, without = (norms(track.flat_output(track.times).position[:, 2]).max() for track in (self.flown, smoothed))
+        peak, without = (norms(track.flat_output(track.times).position[:, 4]).max() for track in (self.flown, smoothed))
         if peak > NOISY * without:
             return f"its rows are noisy: trajectory.smooth={smoothed.smooth:g} (s) smooths them, or leave rows out"
         return "stretch the times in the file"

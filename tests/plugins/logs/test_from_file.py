@@ -348,3 +348,12 @@ def test_missing_rows_are_said(written):
 def test_a_setting_that_decides_nothing_is_refused(written, text, setting, message):
     with pytest.raises(UsageError, match=message):
         _ = FileTrajectory(path=written(text), **setting).duration
+
+
+def test_noise_that_only_the_rotors_feel_is_named(written):
+    """Rows rounded to 0.1 mm at 50 Hz: the acceleration is hardly larger, the thrusts of single rotors are."""
+    t = np.linspace(0, 4, 201)
+    p = np.round(np.column_stack([2 * np.cos(0.8 * t), 2 * np.sin(0.8 * t), 1 + 0 * t]), 4)
+    file = written(table("t,p_x,p_y,p_z", [t, p]))
+    said = fly_one(compose(["trajectory=file", f"trajectory.path={file}", *INTERPRETED])).metadata["reference_note"]
+    assert re.search(r"rotor \d thrust would be .* its rows are noisy: trajectory.smooth=0.3", said)
