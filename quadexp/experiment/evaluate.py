@@ -42,10 +42,10 @@ from quadexp.physics.state import ATTITUDE, POSITION, STATE_COLUMNS, finite_rows
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugin import brought, service
 from quadexp.provenance import libraries, provenance, sources, versions
+from quadexp.reference.base import LONGEST, sample_times
 from quadexp.report.metrics import flight_metrics
 from quadexp.world.effect import Effect
 
-LONGEST = 4 * 3600.0  # s of a flight
 MOST_DRAG = 0.5  # of the weight, at 1 m/s
 CHECK_STEP = 0.02  # s between the points at which a reference is compared with the vehicle's limits
 UNKNOWN_RANGES = "the checkpoint has no ranges of its data (fitted by an older version); fit it again"
@@ -66,12 +66,7 @@ def _coarse_reference(trajectory: Any, vehicle: Vehicle) -> Any:
     """The reference by which a path is judged."""
     from quadexp.reference.flatness import flat_reference
 
-    if not trajectory.duration <= LONGEST:
-        raise UsageError(
-            f"the trajectory takes {trajectory.duration:.3g} s, {LONGEST:g} s are allowed: make it faster or shorter"
-        )
-    samples = max(2, math.ceil(trajectory.duration / CHECK_STEP) + 1)
-    return flat_reference(trajectory, np.linspace(0.0, trajectory.duration, samples), vehicle)
+    return flat_reference(trajectory, sample_times(trajectory, CHECK_STEP), vehicle)
 
 
 def thrust_excess(trajectory: Any, vehicle: Vehicle, reference: Any = None) -> str | None:
@@ -104,15 +99,16 @@ def check_feasible(config: Config, trajectory: Any, vehicle: Vehicle) -> str:
 
     _check_finite(config, trajectory)
     reference = _coarse_reference(trajectory, vehicle)
+    remedy = getattr(trajectory, "remedy", "lower trajectory.speed")
     excess = thrust_excess(trajectory, vehicle, reference)
     if excess and not config.trajectory.allow_infeasible:
         raise InfeasibleError(
-            f"{config.trajectory.name} cannot be flown: {excess};"
-            f" {getattr(trajectory, 'remedy', 'lower trajectory.speed')}, or pass trajectory.allow_infeasible=true"
+            f"{config.trajectory.name} cannot be flown: {excess}; {remedy}, or pass trajectory.allow_infeasible=true"
         )
     worst = compare(reference, vehicle)
-    notes = [getattr(trajectory, "note", ""), "" if worst is None else str(worst), below_ground(config, trajectory)]
-    return "; ".join(note for note in (*notes, heavy_drag(config)) if note)
+    beyond = "" if worst is None else f"{worst}; {remedy}"
+    notes = [getattr(trajectory, "note", ""), beyond, below_ground(config, trajectory), heavy_drag(config)]
+    return "; ".join(filter(None, notes))
 
 
 def heavy_drag(config: Config) -> str:
@@ -155,7 +151,7 @@ def ground_height(config: Config) -> float:
 def below_ground(config: Config, trajectory: Any) -> str:
     """Where a reference is below the ground, in one line, "" if nowhere; nothing stops a vehicle there."""
     ground = ground_height(config)
-    t = np.linspace(0.0, trajectory.duration, max(2, math.ceil(trajectory.duration / CHECK_STEP) + 1))
+    t = sample_times(trajectory, CHECK_STEP)
     z = trajectory.flat_output(t).position[:, 0, 2]
     lowest = int(np.argmin(z))
     if z[lowest] >= ground - 1e-6:

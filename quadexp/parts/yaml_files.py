@@ -88,10 +88,18 @@ class _Real(Spelled, float):
 
 @functools.cache
 def _spelling(plain: Any) -> Any:
-    """A loader of YAML whose numbers keep their spelling; 12:30, `no` and dates are texts, as in YAML 1.2."""
+    """A loader of YAML whose numbers keep their spelling; 12:30, `no` and dates are texts, as in YAML 1.2.
+
+    A key that is there twice is refused: the first value would be dropped without a word."""
+    from yaml.constructor import ConstructorError
 
     class Loader(plain):
-        pass
+        def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+            keys = [str(key.value) for key, _ in node.value]
+            for place, (key, _) in enumerate(node.value):
+                if keys[place] in keys[:place]:
+                    raise ConstructorError(None, None, f"{key.value} is there twice", key.start_mark)
+            return super().construct_mapping(node, deep)
 
     def number(loader: Any, node: Any) -> Any:
         if ":" in node.value:

@@ -6,6 +6,7 @@ held, with all derivatives zero. One that goes on for the horizon of a controlle
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -35,6 +36,7 @@ DURATION = Setting("length of the flight", "(0, 3600]", "s")
 
 N_DERIVATIVES = 5  # position, velocity, acceleration, jerk, snap
 STEP = 1e-4  # s, of differences: by less than a control period, and far from rounding
+LONGEST = 4 * 3600.0  # s of a flight
 
 
 @dataclass(frozen=True)
@@ -162,6 +164,14 @@ def end_of(trajectory: Trajectory) -> float:
     return float(getattr(trajectory, "end", trajectory.duration))
 
 
+def sample_times(trajectory: Trajectory, step: float) -> np.ndarray:
+    """Times of a flight, `step` (s) or less apart; UsageError for a longer one than can be flown."""
+    if not trajectory.duration <= LONGEST:
+        takes = f"the trajectory takes {trajectory.duration:.3g} s, {LONGEST:g} s are allowed"
+        raise UsageError(f"{takes}: make it faster or shorter")
+    return np.linspace(0.0, trajectory.duration, max(2, math.ceil(trajectory.duration / step) + 1))
+
+
 def hold_outside(t: np.ndarray, duration: float) -> tuple[np.ndarray, np.ndarray]:
     """Times clipped to 0 .. duration, (k,) (s), and whether each was inside, (k,) bool."""
     t = np.atleast_1d(np.asarray(t, float))
@@ -202,5 +212,4 @@ def derivatives(function: Any) -> tuple[Any, ...]:
 
 def sampled_peak_speed(trajectory: Trajectory, step: float = 2e-3) -> float:
     """Largest speed on a grid of `step` (s), m/s."""
-    t = np.linspace(0.0, trajectory.duration, int(np.ceil(trajectory.duration / step)) + 1)
-    return float(norms(trajectory.flat_output(t).position[:, 1]).max())
+    return float(norms(trajectory.flat_output(sample_times(trajectory, step)).position[:, 1]).max())

@@ -210,7 +210,7 @@ class Infeasibility:
         return (
             f"the reference cannot be flown: {self.what} would be {self.value:.4g} {self.unit} at t = {self.t:.2f} s,"
             f" {self.margin:.3g} {self.unit} {side} the limit of {self.limit:g} {self.unit}"
-            f" ({100 * self.share:.2g} % of the reference is beyond a limit); lower trajectory.speed"
+            f" ({100 * self.share:.3g} % of the reference is beyond a limit)"
         )
 
 

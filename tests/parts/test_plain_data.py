@@ -1,6 +1,7 @@
 """Configuration of other people is data: it is read at once, is of bounded size, and refers to keys alone."""
 
 import os
+import re
 import socket
 from itertools import pairwise
 
@@ -105,3 +106,26 @@ def test_what_is_no_file_is_not_waited_for(folder, tmp_path, monkeypatch):
             assert f"no such {group}" in refused([f"{group}=odd"], folder)
     with pytest.raises(OSError):
         read_data(places[0])
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "place"),
+    [
+        ("trajectory/mine.yaml", f"{BASE}radius: 4\nspeed: 3\nradius: 6\n", "line 5, column 1: .* radius is there"),
+        ("options/a.yaml", "trajectory:\n  mine: {of: circle, speed: 3, speed: 4}\n", "line 2, .* speed is there"),
+        ("options/a.yaml", "trajectory:\n  mine: {of: circle}\n  mine: {of: hover}\n", "mine is there"),
+        ("options/a.yaml", "trajectory: {mine: {of: circle}}\nvehicle: {}\ntrajectory: {}\n", "trajectory is there"),
+    ],
+)  # fmt: skip
+def test_a_key_that_is_there_twice_is_refused(folder, file, text, place):
+    """The first value would be dropped without a word."""
+    (folder / "options").mkdir()
+    (folder / file).write_text(text)
+    said = refused(["trajectory=mine"], folder)
+    assert str(folder / file) in said
+    assert re.search(place, said)
+
+
+def test_a_key_of_a_merged_mapping_may_be_given_anew(folder):
+    (folder / "trajectory" / "mine.yaml").write_text("a: &a {speed: 3, radius: 4}\nb: {<<: *a, speed: 5}\n")
+    assert read_data(folder / "trajectory" / "mine.yaml")["b"] == {"speed": 5, "radius": 4}

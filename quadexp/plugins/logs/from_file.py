@@ -1,13 +1,14 @@
 """Trajectory from a file: a sampled track, or waypoints, distinguished by the file's first line.
 
-    CSV track      a header with the columns t, p_x, p_y, p_z and, if there, yaw or heading (yaw_deg: degrees), or
-                   q_w .. q_z (s, m, rad; world ENU; body to world); 8 rows or more
+    CSV track      a header with the columns t, p_x, p_y, p_z and, if there, yaw or heading, or q_w .. q_z (s, m, rad;
+                   world ENU; body to world); 8 rows or more
     CSV waypoints  a header with the columns x, y, z and, if there, t and yaw (m, s, rad; world ENU); 2 rows or more
     TUM track      t x y z qx qy qz qw, separated by blanks, no header (s, m; quaternion body to world)
 
 Other columns are ignored, which the trajectory's note says, and lines that begin with #; but one with commas above the
-first row is a header, as EuRoC writes it. The yaw of an attitude follows the convention of the reference: y_body level
-with (-sin yaw, cos yaw, 0). Columns may be parted by semicolons, with decimal commas or points.
+first row is a header, as EuRoC writes it. A name may end in its unit: time_ms, p_x [mm], yaw_deg. Below a header,
+columns may be parted by semicolons, tabs or blanks too, the first two with decimal commas or points. The yaw of an
+attitude follows the convention of the reference: y_body level with (-sin yaw, cos yaw, 0).
 
 A sampled track is interpolated by a degree-7 spline through every row (continuous up to the sixth derivative, not-a-
 knot ends), so it must be smooth: noise in the rows is amplified by dt^-4 in the snap. With `smooth` (s) the spline is
@@ -35,9 +36,11 @@ from quadexp.names import named
 from quadexp.parts.settings import REQUIRED, key, keyed
 from quadexp.physics.rotation import heading
 from quadexp.physics.state import norms
-from quadexp.plugins.logs.column_names import groups
+from quadexp.plugins.logs.column_names import groups, unit_of
 from quadexp.plugins.logs.importers.readers import way_of
+from quadexp.plugins.logs.units import UNITS
 from quadexp.reference.base import (
+    LONGEST,
     MARGIN,
     SPEED,
     FlatOutput,
@@ -60,11 +63,12 @@ WAYPOINTS = ("x", "y", "z")
 ATTITUDE = ("q_w", "q_x", "q_y", "q_z")
 MOST_IGNORED = 6  # columns that the note lists
 SMOOTH = 0.3  # s: what is proposed for a noisy track
-NANOSECONDS = 1e17  # times beyond are in ns
-NOISY = 3.0  # times the acceleration of the smoothed track: more is noise
+EPOCH = {1e17: 1e-9, 1e14: 1e-6, 1e11: 1e-3}  # times from these on -> s of their unit: since 1970 they are of 1973 on
+SI = {"1": 1.0} | UNITS["time"] | UNITS["length"] | UNITS["angle"]
+GAP = 10.0  # times the median step between two rows: rows are missing
+NOISY = 3.0  # times the snap of the smoothed track: more is noise
 TUM = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
-HEADINGS = ("yaw", "heading")  # rad, unless the numbers say degrees
-DEGREES = tuple(f"{name}{unit}" for name in HEADINGS for unit in ("_deg", " [deg]", " (deg)", "[deg]", "(deg)"))
+HEADINGS = ("yaw", "heading")  # rad, unless name or numbers say degrees
 FULL_TURN = 6.5  # rad: a heading that stays within is taken as radians
 FASTEST = np.pi / 2  # rad/s: a heading that turns on and on no faster is in rad, as the guide says
 ALONG = 0.95  # length of the mean direction of heading less course: held
@@ -85,6 +89,21 @@ class Positions:
     yaw: np.ndarray | None
     ignored: tuple[str, ...] = ()
 
+    @property
+    def notes(self) -> list[str]:
+        """What of the file is not flown, and where a track has no rows."""
+        notes = []
+        if self.ignored:
+            names = [*self.ignored[:MOST_IGNORED], *[".."] * (len(self.ignored) > MOST_IGNORED)]
+            notes.append(f"columns that are not flown: {', '.join(names)}")
+        if self.sampled and self.times is not None:
+            steps = np.diff(self.times)
+            at = int(np.argmax(steps))
+            if steps[at] > GAP * np.median(steps):
+                after = self.times[at] - self.times[0]
+                notes.append(f"rows are missing: none for {steps[at]:.3g} s after {after:.4g} s of the track")
+        return notes
+
 
 def read_positions(path: Path) -> Positions:
     """The rows of a CSV or TUM file.
@@ -93,19 +112,23 @@ def read_positions(path: Path) -> Positions:
     increase, repeated waypoints without times, or too few or too many rows.
     """
     lines = _lines(path)
-    first = lines[0][0]
+    factors: dict[str, float] = {}  # to SI, where the names say a unit
+    header = list(TUM)
+    columns: tuple[str, ...] = TUM
+    ignored: list[str] = []
     if "," in lines[0][1]:
-        names, *rows = [next(csv.reader([line])) for _, line in lines]
-        header = _renamed([name.strip() for name in names])
+        (first, names), *lines = lines
+        given = [name.strip() for name in next(csv.reader([names]))]
+        header, factors = _known(given)
         columns = _columns(f"{path}, line {first}", header)
-        del lines[0]
+        rows = [next(csv.reader([line])) for _, line in lines]
+        ignored = [name for name, known in zip(given, header, strict=True) if known not in columns]
     else:
         rows = [line.split() for _, line in lines]
-        header = list(TUM)
-        columns = TUM
     wheres = [f"{path}, line {number}" for number, _ in lines]
     table = [_numbers(where, row, header, columns) for where, row in zip(wheres, rows, strict=True)]
     values = named(columns, np.array(table).reshape(len(rows), len(columns)).T)
+    values = {name: factors.get(name, 1.0) * column for name, column in values.items()}
     sampled = columns[: len(WAYPOINTS)] != WAYPOINTS
     points = np.column_stack([values[name] for name in (columns[1:4] if sampled else WAYPOINTS)])
     if sampled and len(points) < MIN_ROWS:
@@ -119,19 +142,21 @@ def read_positions(path: Path) -> Positions:
         _check_moving(wheres, points)
     else:
         _check_increasing(wheres, times)
-        if times[0] > NANOSECONDS:
-            times = 1e-9 * times
+        if "t" not in factors:
+            times = times * next((factor for least, factor in EPOCH.items() if times[0] > least), 1.0)
+        if np.ptp(times) > LONGEST:
+            units = "if they are not in s, name the column time_ms, time_us or time_ns"
+            raise DataError(f"{path}: its times span {np.ptp(times):.4g} s, {LONGEST:g} s are allowed; {units}")
     yaw = None
-    angles = [name for name in (*HEADINGS, *DEGREES) if name in values]
     attitude = TUM[4:] if columns == TUM else (*ATTITUDE[1:], ATTITUDE[0])
-    if angles:
-        yaw = _in_radians(path, angles[0], values[angles[0]], points, times)
+    if columns[-1] in HEADINGS:
+        name = columns[-1]
+        yaw = values[name] if name in factors else _in_radians(path, name, values[name], points, times)
     elif set(attitude) <= values.keys():
         yaw = _heading(wheres, np.column_stack([values[name] for name in attitude]))
     if yaw is not None:
         yaw = np.unwrap(yaw)
-    ignored = tuple(name for name in header if name not in columns)
-    return Positions(sampled, times, points, yaw, ignored)
+    return Positions(sampled, times, points, yaw, tuple(ignored))
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
@@ -153,11 +178,14 @@ def _lines(path: Path) -> list[tuple[int, str]]:
             lines.append((number, line))
     if not lines:
         raise DataError(f"{path}: no rows (a track needs at least {MIN_ROWS}, waypoints {MIN_POINTS})")
-    if ";" in lines[0][1]:  # parts columns where numbers have decimal commas
-        lines = [(number, line.replace(",", ".").replace(";", ",")) for number, line in lines]
-    if any(letter.isalpha() for letter in lines[0][1].lower().replace("e", "")):  # it names the columns itself
-        return lines
-    return heading + lines
+    first = lines[0][1]
+    names = any(letter.isalpha() for letter in first.lower().replace("e", ""))  # it names the columns itself
+    for mark in ";\t" if names else ";":  # parts columns where numbers have decimal commas
+        if mark in first:
+            lines = [(number, line.replace(",", ".").replace(mark, ",")) for number, line in lines]
+    if names and "," not in lines[0][1]:
+        lines = [(number, ",".join(line.split())) for number, line in lines]
+    return lines if names else heading + lines
 
 
 def _check_increasing(wheres: list[str], times: np.ndarray) -> None:
@@ -173,36 +201,41 @@ def _check_moving(wheres: list[str], points: np.ndarray) -> None:
             raise DataError(f"{where}: the same point as in the previous row; add a column t to stay there")
 
 
-def _renamed(header: list[str]) -> list[str]:
-    """Names of a track as this program has them, where other ones say as much (column_names.py)."""
-    if any(name in header for name in (*TRACK, *WAYPOINTS)):
-        return header
-    known, header = groups(header), list(header)
-    for quantity, names in (("time", TRACK[:1]), ("position", TRACK[1:]), ("attitude", ATTITUDE)):
-        for columns in known.get(quantity, [])[:1]:
-            for place, name in zip(columns, names, strict=True):
+def _known(given: list[str]) -> tuple[list[str], dict[str, float]]:
+    """The columns' names as this program has them, also where other ones say as much (column_names.py), and the factors
+    to SI of those with a unit."""
+    units = [unit_of(name) for name in given]
+    header = [bare if unit in SI else name for name, (bare, unit) in zip(given, units, strict=True)]
+    known = groups(given)
+    wanted = (("time", TRACK[:1], ()), ("position", TRACK[1:], WAYPOINTS), ("attitude", ATTITUDE, ()))
+    for quantity, names, others in wanted:
+        if not any(name in header for name in (*names, *others)):
+            for place, name in zip(*known.get(quantity, [[]])[:1], names, strict=False):
                 header[place] = name
-    return header
+    return header, {name: SI[unit] for name, (_, unit) in zip(header, units, strict=True) if unit in SI}
 
 
 def _columns(where: str, header: list[str]) -> tuple[str, ...]:
-    """The columns that are read of a CSV file; DataError where one is missing."""
-    angles = (*HEADINGS, *DEGREES)
-    needed: tuple[str, ...]
-    optional: tuple[str, ...]
+    """The columns that are read of a CSV file, a heading last; DataError where one is missing, or there twice."""
+    time: tuple[str, ...] = ()
+    needed: tuple[str, ...] = TRACK
+    about = "optional yaw; waypoints: x, y, z"
+    headings: list[tuple[str, ...]] = [(name,) for name in HEADINGS]
     if any(name in header for name in WAYPOINTS) and not any(name in header for name in TRACK[1:]):
-        needed = WAYPOINTS
-        optional = ("t", *angles)
-        about = "optional t and yaw, for waypoints"
+        needed, about = WAYPOINTS, "optional t and yaw, for waypoints"
+        time = TRACK[:1] if "t" in header else ()
     else:
-        needed = TRACK
-        optional = (*angles, *ATTITUDE)
-        about = "optional yaw; waypoints: x, y, z"
+        headings.append(ATTITUDE)
     missing = [name for name in needed if name not in header]
     if missing:
         found = f"found {', '.join(header)}; needed {', '.join(needed)}, {about}"
         raise DataError(f"{where}: no column {', '.join(missing)} in the header ({found})")
-    return (*needed, *(name for name in optional if name in header))
+    heading = next((names for names in headings if set(names) <= set(header)), ())
+    columns = (*needed, *time, *heading)
+    for name in columns:
+        if header.count(name) > 1:
+            raise DataError(f"{where}: {header.count(name)} columns {name} in the header: leave all but one out")
+    return columns
 
 
 def _heading(wheres: list[str], quaternion: np.ndarray) -> np.ndarray:
@@ -215,16 +248,14 @@ def _heading(wheres: list[str], quaternion: np.ndarray) -> np.ndarray:
 
 
 def _in_radians(path: Path, name: str, yaw: np.ndarray, points: np.ndarray, t: np.ndarray | None) -> np.ndarray:
-    """A column of headings (k,) in rad. Degrees are recognised by the column's name, by steps of 360 where the angle
-    wraps, and by a nose that keeps its angle to the course (points: (k, 3)) in degrees and not in radians.
+    """Headings (k,) without a unit, in rad. Degrees are recognised by steps of 360 where the angle wraps, and by a nose
+    that keeps its angle to the course (points: (k, 3)) in degrees and not in radians.
 
     Raises DataError for angles of more than a turn that say neither and would turn fast: 0 .. 45 in 20 s may be
     degrees, or seven turns.
     """
     size = float(np.abs(yaw).max())
     steps = np.abs(np.diff(yaw))
-    if name in DEGREES:
-        return np.radians(yaw)
     if size < FULL_TURN:
         return yaw
     if np.any((steps > 300) & (steps < 420)):
@@ -282,40 +313,47 @@ class FileTrajectory(LimitedTrajectory):
 
     @property
     def note(self) -> str:
-        """The limit that keeps the waypoints below the requested speed, or what of a track is not flown; "" if none."""
-        return self._timed[1]
+        """The limit that keeps waypoints below the requested speed, and what of the file is not flown; "" if none."""
+        limit = self.flown.note(self.speed, self.vehicle) if isinstance(self.flown, ScaledPath) else ""
+        return "; ".join(filter(None, [limit, *self._positions.notes]))
 
     @property
     def remedy(self) -> str:
         """What helps where the path cannot be flown."""
-        if not isinstance(self.flown, SampledTrack):
+        if self._positions.times is None:
             return "lower trajectory.speed"
+        if not isinstance(self.flown, SampledTrack):
+            return "stretch the times in the file"
         smoothed = replace(self.flown, smooth=max(SMOOTH, 2 * self.flown.smooth))
-        peak, without = (norms(track.flat_output(track.times).position[:, 2]).max() for track in (self.flown, smoothed))
+        peak, without = (norms(track.flat_output(track.times).position[:, 4]).max() for track in (self.flown, smoothed))
         if peak > NOISY * without:
             return f"its rows are noisy: trajectory.smooth={smoothed.smooth:g} (s) smooths them, or leave rows out"
         return "stretch the times in the file"
 
-    @property
-    def flown(self) -> Trajectory:
-        """See LimitedTrajectory."""
-        return self._timed[0]
-
     @cached_property
-    def _timed(self) -> tuple[Trajectory, str]:
-        """The trajectory and its note."""
+    def _positions(self) -> Positions:
         if not Path(self.path).is_file():
             raise UsageError(f"trajectory.path: there is no file {self.path!r}")
-        positions = read_positions(Path(self.path))
+        return read_positions(Path(self.path))
+
+    @cached_property
+    def flown(self) -> Trajectory:
+        """See LimitedTrajectory."""
+        positions = self._positions
+        if positions.times is not None and self.margin != FileTrajectory.margin:
+            raise UsageError(f"trajectory.margin={self.margin:g}: {self.path} has its own times; leave the margin out")
         if positions.sampled:
             return self._sampled(positions)
+        if self.smooth is not None:
+            way = "leave it out, or name the columns t, p_x, p_y, p_z for a sampled track"
+            raise UsageError(f"trajectory.smooth={self.smooth:g}: {self.path} has waypoints, which are all met; {way}")
         try:
             return self._through(positions)
         except ValueError as error:
             raise UsageError(f"{self.path}: no polynomials through these waypoints ({error})") from None
 
-    def _sampled(self, positions: Positions) -> tuple[SampledTrack, str]:
-        """The spline through a track, and what of it is not flown."""
+    def _sampled(self, positions: Positions) -> SampledTrack:
+        """The spline through a track."""
         if self.speed is not None:
             way = "leave the speed out, or name the columns x, y, z for waypoints"
             own = f"{self.path} is a sampled track, which has its own times"
@@ -323,12 +361,10 @@ class FileTrajectory(LimitedTrajectory):
         assert positions.times is not None
         yaw = np.zeros(len(positions.times)) if positions.yaw is None else positions.yaw
         points = np.column_stack([positions.points, yaw])
-        track = SampledTrack(positions.times - positions.times[0], points, self.smooth or 0.0)
-        names = [*positions.ignored[:MOST_IGNORED], *[".."] * (len(positions.ignored) > MOST_IGNORED)]
-        return track, f"columns that are not flown: {', '.join(names)}" if names else ""
+        return SampledTrack(positions.times - positions.times[0], points, self.smooth or 0.0)
 
-    def _through(self, positions: Positions) -> tuple[ScaledPath, str]:
-        """The path through waypoints, and its note."""
+    def _through(self, positions: Positions) -> ScaledPath:
+        """The path through waypoints."""
         points = positions.points
         if positions.yaw is not None:
             points = np.column_stack([points, positions.yaw])
@@ -338,14 +374,13 @@ class FileTrajectory(LimitedTrajectory):
                 takes = f"the times in {self.path} take a peak speed of {timed.peak_speed:.4g} m/s"
                 way = "leave out the column t, raise the speed, or pass trajectory.allow_infeasible=true"
                 raise UsageError(f"trajectory.speed={self.speed:g}: {takes}; {way}")
-            return timed, ""
+            return timed
         lengths = norms(np.diff(positions.points, axis=0)) / np.ptp(positions.points, axis=0).max()
         candidates = []
         for power in POWERS:
             path = minimum_snap(np.concatenate([[0.0], np.cumsum(lengths**power)]), points)
             candidates.append(time_scale(path, self.vehicle, speed=self.speed, margin=self.margin))
-        shortest = min(candidates, key=lambda candidate: candidate.duration)
-        return shortest, shortest.note(self.speed, self.vehicle)
+        return min(candidates, key=lambda candidate: candidate.duration)
 
 
 @dataclass(frozen=True)

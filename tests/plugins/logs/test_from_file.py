@@ -136,7 +136,8 @@ def test_times_that_break_a_limit_are_named_and_can_be_flown_all_the_same(writte
     with pytest.raises(UsageError, match=r"trajectory.speed=4: the times in .* take a peak speed of \d+"):
         fly_one(compose([*file, "trajectory.speed=4"]))
     tight = written("t,x,y,z\n0,0,0,1\n1.1,2.5,0,1\n2.2,0,0,1\n")
-    assert re.search(r"rotor \d thrust would be", fly_one(compose(file)).metadata["reference_note"]), tight
+    said = fly_one(compose(file)).metadata["reference_note"]
+    assert re.search(r"rotor \d thrust would be .* is beyond a limit\); stretch the times in the file$", said), tight
 
 
 @pytest.mark.parametrize("name", ["torrente", "lei_li"])
@@ -266,3 +267,93 @@ def test_a_heading_that_says_no_unit_is_refused(written):
         heading_track(written, "yaw", lambda a: 90 * np.cos(5 * a), lambda t: 0.2 * t)
     with pytest.raises(DataError, match=r"7\.\d+ turns in rad: name the column yaw_deg"):  # or it turns by 45 degrees
         heading_track(written, "yaw", lambda a: 45 * a / a[-1], lambda t: 0.2 * t)
+
+
+def arc(header, columns=None, separator=","):
+    """A track over two seconds, its columns t, x, y, z or others."""
+    t = np.linspace(0, 2, 41)
+    return table(header, columns or [t, np.cos(t), np.sin(t), 1 + 0 * t], separator)
+
+
+@pytest.mark.parametrize(
+    ("header", "factors", "start"),
+    [
+        ("t,p_x,p_y,p_z", [1, 1], 1.7e9), ("t,p_x,p_y,p_z", [1e3, 1], 1.7e12), ("t,p_x,p_y,p_z", [1e6, 1], 1.7e15),
+        ("t,p_x,p_y,p_z", [1e9, 1], 1.7e18), ("time_ms,p_x,p_y,p_z", [1e3, 1], 0), ("timestamp,p_x,p_y,p_z", [1, 1], 0),
+        ("t [us],p_x [mm],p_y [mm],p_z [mm]", [1e6, 1e3], 5e6),
+    ],
+)  # fmt: skip
+def test_units_of_a_track_are_those_of_its_names_or_of_times_since_1970(written, header, factors, start):
+    t = np.linspace(0, 2, 41)
+    p = np.column_stack([np.cos(t), np.sin(t), 1 + 0 * t])
+    track = read_positions(Path(written(arc(header, [start + factors[0] * t, factors[1] * p]))))
+    np.testing.assert_allclose(track.times - track.times[0], t, atol=1e-6)
+    np.testing.assert_allclose(track.points, p, atol=1e-12)
+
+
+def test_times_that_are_no_seconds_are_refused_before_anything_is_computed(written):
+    """Microseconds since the start of the autopilot: a month in seconds."""
+    t = np.linspace(0, 2, 41)
+    file = written(arc("t,p_x,p_y,p_z", [1e6 * (12.3 + t), t, t, 1 + 0 * t]))
+    with pytest.raises(
+        DataError, match=r"its times span 2e\+06 s, 14400 s are allowed; .* time_ms, time_us or time_ns"
+    ):
+        _ = FileTrajectory(path=file).peak_speed
+
+
+@pytest.mark.parametrize("separator", ["\t", " ", ";"])
+def test_a_header_parts_its_columns_as_the_rows_do(written, separator):
+    text = arc("t,p_x,p_y,p_z")
+    expected = read_positions(Path(written(text)))
+    np.testing.assert_array_equal(read_positions(Path(written(text.replace(",", separator)))).points, expected.points)
+
+
+@pytest.mark.parametrize(
+    ("header", "note"),
+    [
+        ("t,p_x,p_y,p_z,yaw,heading", "columns that are not flown: heading"),
+        ("t,p_x,p_y,p_z,q_w,q_x", "columns that are not flown: q_w, q_x"),
+        ("t,p_x,p_y,p_z,yaw,speed [m/s]", "columns that are not flown: speed [m/s]"),
+        ("t,x,y,z,yaw_rate,q_w", "columns that are not flown: yaw_rate, q_w"),
+    ],
+)
+def test_what_is_not_flown_is_said(written, header, note):
+    rows = np.column_stack([np.arange(9.0), np.cos(np.arange(9.0)), np.zeros((9, 4))])
+    assert FileTrajectory(path=written(table(header, [rows]))).note == note
+
+
+def test_times_of_waypoints_have_the_names_of_those_of_a_track(written):
+    assert read_positions(Path(written("time,x,y,z\n0,0,0,1\n3,4,0,1\n"))).times.tolist() == [0.0, 3.0]
+
+
+def test_a_column_that_is_there_twice_is_refused(written):
+    with pytest.raises(DataError, match="line 1: 2 columns p_x in the header"):
+        read_positions(Path(written("t,p_x,p_x,p_y,p_z\n0,1,2,3,4\n")))
+
+
+def test_missing_rows_are_said(written):
+    t = np.delete(np.linspace(0, 4, 201), slice(50, 101))
+    path = FileTrajectory(path=written(arc("t,p_x,p_y,p_z", [t, np.cos(t), np.sin(t), 1 + 0 * t])))
+    assert path.note == "rows are missing: none for 1.04 s after 0.98 s of the track"
+
+
+@pytest.mark.parametrize(
+    ("text", "setting", "message"),
+    [
+        (TWO, {"smooth": 0.5}, r"trajectory.smooth=0.5: .* has waypoints"),
+        (TRACK + GOOD, {"margin": 0.5}, r"trajectory.margin=0.5: .* has its own times"),
+        ("t,x,y,z\n0,0,0,1\n3,4,0,1\n", {"margin": 0.0}, r"trajectory.margin=0: .* has its own times"),
+    ],
+)
+def test_a_setting_that_decides_nothing_is_refused(written, text, setting, message):
+    with pytest.raises(UsageError, match=message):
+        _ = FileTrajectory(path=written(text), **setting).duration
+
+
+def test_noise_that_only_the_rotors_feel_is_named(written):
+    """Rows rounded to 0.1 mm at 50 Hz: the acceleration is hardly larger, the thrusts of single rotors are."""
+    t = np.linspace(0, 4, 201)
+    p = np.round(np.column_stack([2 * np.cos(0.8 * t), 2 * np.sin(0.8 * t), 1 + 0 * t]), 4)
+    file = written(table("t,p_x,p_y,p_z", [t, p]))
+    said = fly_one(compose(["trajectory=file", f"trajectory.path={file}", *INTERPRETED])).metadata["reference_note"]
+    assert re.search(r"rotor \d thrust would be .* its rows are noisy: trajectory.smooth=0.3", said)
