@@ -183,7 +183,7 @@ class Running:
         self.inputs = InputArrays(controller.vehicle.n_rotors)
         self.k = 0
         step: ControlStep = controller.control_step(self.inputs, self.inputs.state)
-        kept = [Call("commit", *pair) for memory in step.memory for pair in memory.pairs]
+        kept = [Call("commit", *pair, when=memory.when) for memory in step.memory for pair in memory.pairs]
         self.control_step = step._replace(calls=[*step.calls, *kept])
         self._calls = [o for o in self.control_step.calls if o.kind not in ("finite", "near")]  # which are C's
 
