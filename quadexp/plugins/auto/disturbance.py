@@ -27,8 +27,7 @@ from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, call
 from quadexp.control.layer import NO_BELIEF
 from quadexp.models.residual import Residual
-from quadexp.names import named
-from quadexp.physics.expression import dense_function, limited, named_function, named_symbols
+from quadexp.physics.expression import Answers, limited, named_symbols
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -121,7 +120,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     exists = np.array(known.initial) + known.random_walk > 0
     kept["estimate"] *= np.tile(exists, WALKS)
     kept["covariance"] *= np.tile(np.outer(exists, exists).ravel(), WALKS)
-    asked, answers = [], []
+    answers = Answers(air)
     x, read = a["x"], a["read"]
     thrust, timing = a["thrust"], a["timing"]
     R, rate = rotation_matrix(x[ATTITUDE]), x[RATE]
@@ -154,9 +153,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
         scale = 1 + estimate[SCALE]
         air_scale = 1 + estimate[AIR]
         through_air = R.T @ (x[VELOCITY] - estimate[WIND])
-        asked.append(ca.vertcat(through_air, rate, scale * thrust))
-        y, by_features = (ca.SX.sym(f"{name}{len(asked)}", air.sparsity_out(name)) for name in air.name_out())
-        answers.extend([y, by_features])
+        y, by_features = answers(ca.vertcat(through_air, rate, scale * thrust))
         lift = ca.vertcat(0, 0, specific)
         by_wind = -air_scale * (by_features[:3, :3] @ R.T)
         by_scale = lift + air_scale * (by_features[:3, 6:] @ thrust)
@@ -314,15 +311,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     results["belief"] = ca.if_else(flown, belief, ca.DM(NO_BELIEF))
     results["deviations"] = ca.if_else(flown, deviations, math.nan)
     results["likely"] = flown * likely
-
-    # what the air answers lies between what it is asked and all else
-    features = ca.Function("features", [*a.values()], asked)
-    update = dense_function("update", a | named([f"air{i}" for i in range(len(answers))], answers), results)
-    given = named_symbols(ca.MX, shapes)
-    theta = ca.MX.sym("theta", air.size1_in(1))
-    of_air = [y for z in features(*given.values()) for y in air(z, theta)]
-    values = update(*given.values(), *of_air)
-    return named_function("disturbance", given | {"theta": theta}, named(results, values))
+    return answers.function_of("disturbance", a, results)
 
 
 def mean_share(period: float, lag: ca.SX) -> ca.SX:
