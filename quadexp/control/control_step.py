@@ -47,7 +47,7 @@ class Call(NamedTuple):
     divide  to = source / other[0]
     mix     to = factor source + (1 - factor) other
     add     to = source + other
-    gather  to (b, c, c) = factor to + sum over the rows s of source, (b, k, c), of s' s
+    gather  to (b, c, c) = factor to + sum over the rows s of source, (b, k, c), of s' s: the lower triangles
     finite  left to Python where a number of source is not
     near    left to Python where positions at the beginning of source and other are further apart than factor
     plan    the MPC's step on its own arrays; in Python `act`
@@ -173,7 +173,7 @@ def run(calls: Sequence[Call], k: int = 0, window: Any = None) -> None:
         elif kind == "gather":
             to *= factor
             for row in np.moveaxis(source, 1, 0):
-                to += row[:, :, None] * row[:, None]
+                to += np.tril(row[:, :, None] * row[:, None])
 
 
 class Running:

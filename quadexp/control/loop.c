@@ -185,7 +185,7 @@ static inline __attribute__((always_inline)) void sums(const step_call *o, const
     const sum *last = to + o->count;
     for (const real *restrict source = o->source; to < last; source += rows * n)
         for (integer i = 0; i < n; i++, to += n)
-            for (integer j = 0; j < n; j++) {
+            for (integer j = 0; j <= i; j++) {
                 sum all = factor * to[j];
                 for (integer k = 0; k < rows; k++) all += (sum)source[k * n + i] * (sum)source[k * n + j];
                 to[j] = all;

@@ -98,7 +98,7 @@ class Bank:
     theta: parameters of the residual, shared. noise: stated, of a reading of accelerometer (m/s^2), gyroscope (rad/s)
     and attitude (rad). spans: over which readings of accelerometer and gyroscope are means (s).
     period: of the bank (s), `every` control periods. moments: of gyro, thrust, velocity, attitude, (models, c, c),
-    which are the `sums`. memory: all else that is remembered.
+    lower triangles, which are the `sums`. memory: all else that is remembered.
     """
 
     def __init__(
