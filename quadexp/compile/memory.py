@@ -22,12 +22,15 @@ NEXT = "next_"  # and writes
 class Memory:
     """owner: whose it is, as users see it. sizes: how many numbers there are of each name. of_now, of_next: the arrays
     by name. now: all of them, one after another, (m,). worked: arrays that somebody works on in place, by name: these
-    are of_next. pairs: now and next, as they are copied from one to the other."""
+    are of_next. pairs: now and next, as they are copied from one to the other. when: (1,), 0 where an instant has
+    changed nothing; None: it may always have."""
 
     def __init__(
-        self, owner: str, sizes: Mapping[str, int] | None = None, worked: Mapping[str, np.ndarray] | None = None
-    ) -> None:
+        self, owner: str, sizes: Mapping[str, int] | None = None, worked: Mapping[str, np.ndarray] | None = None,
+        when: np.ndarray | None = None,
+    ) -> None:  # fmt: skip
         self.owner = owner
+        self.when = when
         self.sizes = {name: array.size for name, array in (worked or {}).items()} if sizes is None else dict(sizes)
         self.now, after = np.zeros((2, sum(self.sizes.values())))
         ends = accumulate(self.sizes.values())

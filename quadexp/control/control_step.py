@@ -47,7 +47,7 @@ class Call(NamedTuple):
     divide  to = source / other[0]
     mix     to = factor source + (1 - factor) other
     add     to = source + other
-    gather  to (b, c, c) = factor to + sum over the rows s of source, (b, k, c), of s' s
+    gather  to (b, c, c) = factor to + sum over the rows s of source, (b, k, c), of s' s: the lower triangles
     finite  left to Python where a number of source is not
     near    left to Python where positions at the beginning of source and other are further apart than factor
     plan    the MPC's step on its own arrays; in Python `act`
@@ -173,7 +173,7 @@ def run(calls: Sequence[Call], k: int = 0, window: Any = None) -> None:
         elif kind == "gather":
             to *= factor
             for row in np.moveaxis(source, 1, 0):
-                to += row[:, :, None] * row[:, None]
+                to += np.tril(row[:, :, None] * row[:, None])
 
 
 class Running:
@@ -183,7 +183,7 @@ class Running:
         self.inputs = InputArrays(controller.vehicle.n_rotors)
         self.k = 0
         step: ControlStep = controller.control_step(self.inputs, self.inputs.state)
-        kept = [Call("commit", *pair) for memory in step.memory for pair in memory.pairs]
+        kept = [Call("commit", *pair, when=memory.when) for memory in step.memory for pair in memory.pairs]
         self.control_step = step._replace(calls=[*step.calls, *kept])
         self._calls = [o for o in self.control_step.calls if o.kind not in ("finite", "near")]  # which are C's
 

@@ -177,18 +177,28 @@ static void look_ahead(const reference *r, integer at, const step_call *o, integ
     }
 }
 
-/* Every number is summed up in the order of the rows. */
-static void gather(const step_call *o) {
-    const integer n = o->columns, block = o->rows * n;
+/* Every number is summed up in the order of the rows; rows: known where it is compiled, so that it stays in registers. */
+static inline __attribute__((always_inline)) void sums(const step_call *o, const integer rows) {
+    const integer n = o->columns;
     const sum factor = o->factor;
     sum *restrict to = (void *)o->to;
     const sum *last = to + o->count;
-    for (const real *source = o->source; to < last; source += block)
-        for (integer i = 0; i < n; i++, to += n) {
-            for (integer j = 0; j < n; j++) to[j] = factor * to[j];
-            for (const real *row = source; row < source + block; row += n)
-                for (integer j = 0; j < n; j++) to[j] += (sum)row[i] * (sum)row[j];
-        }
+    for (const real *restrict source = o->source; to < last; source += rows * n)
+        for (integer i = 0; i < n; i++, to += n)
+            for (integer j = 0; j <= i; j++) {
+                sum all = factor * to[j];
+                for (integer k = 0; k < rows; k++) all += (sum)source[k * n + i] * (sum)source[k * n + j];
+                to[j] = all;
+            }
+}
+
+static void gather(const step_call *o) {
+    switch (o->rows) {
+    case 1: sums(o, 1); return;
+    case 2: sums(o, 2); return;
+    case 3: sums(o, 3); return;
+    default: sums(o, o->rows);
+    }
 }
 
 #ifdef ALONE

@@ -71,3 +71,33 @@ def dense_function(name: str, inputs: Mapping[str, Any], outputs: Mapping[str, A
     """The same with dense outputs; what several of them need is computed once."""
     values = ca.cse([ca.densify(value) for value in outputs.values()])
     return named_function(name, inputs, named(outputs, values))
+
+
+class Answers:
+    """What a function gives that is no expression of scalars, such as a compiled model, as symbols in one of scalars.
+
+    function: of features and theta. Called with features, SX, it gives symbols for its results there.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self.function = function
+        self.asked = list[Any]()
+        self.symbols = dict[str, Any]()
+
+    def __call__(self, features: Any) -> list[Any]:
+        self.asked.append(features)
+        function = self.function
+        names = [f"{name}_{len(self.asked)}" for name in function.name_out()]
+        answers = [ca.SX.sym(name, function.sparsity_out(i)) for i, name in enumerate(names)]
+        self.symbols |= named(names, answers)
+        return answers
+
+    def function_of(self, name: str, inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> ca.Function:
+        """See dense_function: of inputs, which no answers are among, and `theta`."""
+        features = ca.Function("features", [*inputs.values()], self.asked)
+        rest = dense_function("rest", {**inputs, **self.symbols}, outputs)
+        arguments = named_symbols(ca.MX, {of: symbol.shape for of, symbol in inputs.items()})
+        theta = ca.MX.sym("theta", self.function.size1_in(1))
+        given = [*arguments.values()]
+        answers = [y for z in features.call(given) for y in self.function.call([z, theta])]
+        return named_function(name, arguments | {"theta": theta}, named(outputs, rest.call(given + answers)))

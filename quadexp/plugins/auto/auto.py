@@ -136,7 +136,7 @@ class Auto(WrappedController):
         function = cached_function(self.backend, plan_function, form, self.control_period, count, parts, *about)
         decision = self._memory.of_next["decision"]
         self._tune = BufferedFunction(function, places | {"decision": decision}, common | tuned)
-        self._plan = Memory("Plan", worked=self._tune.results)
+        self._plan = Memory("Plan", worked=self._tune.results, when=self._decide.results["retunes"])
 
     def _retuned(self, when: np.ndarray | None = None) -> list[Call]:
         """Plan with the last decision from now on."""

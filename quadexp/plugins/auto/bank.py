@@ -32,7 +32,7 @@ from quadexp.compile.symbolic import ca
 from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, InputArrays, call, copy
 from quadexp.models.residual import Residual
-from quadexp.physics.expression import Expression, limited, named_function, named_symbols
+from quadexp.physics.expression import Answers, Expression, limited, named_symbols
 from quadexp.physics.rigid_body import body_features
 from quadexp.physics.rotation import product, rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, POSITION, RATE, VELOCITY
@@ -98,7 +98,7 @@ class Bank:
     theta: parameters of the residual, shared. noise: stated, of a reading of accelerometer (m/s^2), gyroscope (rad/s)
     and attitude (rad). spans: over which readings of accelerometer and gyroscope are means (s).
     period: of the bank (s), `every` control periods. moments: of gyro, thrust, velocity, attitude, (models, c, c),
-    which are the `sums`. memory: all else that is remembered.
+    lower triangles, which are the `sums`. memory: all else that is remembered.
     """
 
     def __init__(
@@ -196,8 +196,8 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     shapes = {NOW + name: size for name, size in layout.sizes.items()}
     shapes[f"{NOW}sent"] = vehicle.n_rotors
     shapes |= {"x": N_STATE, "f": 3, "read": 1, "stated": 1, "attitude_gain": 1}
-    shapes["theta"] = residual.function.size1_in(1)
-    a = named_symbols(ca.MX, shapes)
+    a = named_symbols(ca.SX, shapes)
+    answers = Answers(residual.function)
     kept = {name: a[NOW + name] for name in layout.sizes}
     x, read, stated = a["x"], a["read"], a["stated"]
     last = kept["x"]
@@ -211,8 +211,7 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
     w = x[RATE]
     R = rotation_matrix(x[ATTITUDE])
     sent = a[f"{NOW}sent"] / every
-    air, *_ = residual.function(body_features(x, sent), a["theta"])
-    air = ca.densify(air)
+    air, *_ = answers(body_features(x, sent))
 
     # gyroscope and thrust, a filter a row: y by the readings, phi by the newest command
     inertia = ca.DM(vehicle.inertia_matrix)
@@ -319,5 +318,4 @@ def bank_function(vehicle: Vehicle, residual: Residual, period: float, every: in
         "attitude_z": flown * ca.vec(ca.vertcat(attitude, before)),
     }
     results |= {NEXT + name: value for name, value in now.items()}
-    dense = {name: ca.densify(value) for name, value in results.items()}
-    return named_function("bank", a, dense)
+    return answers.function_of("bank", a, results)

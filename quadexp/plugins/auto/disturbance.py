@@ -27,7 +27,7 @@ from quadexp.control.cached_function import cached_function
 from quadexp.control.control_step import Call, call
 from quadexp.control.layer import NO_BELIEF
 from quadexp.models.residual import Residual
-from quadexp.physics.expression import limited, named_function, named_symbols
+from quadexp.physics.expression import Answers, limited, named_symbols
 from quadexp.physics.rotation import rotation_matrix
 from quadexp.physics.state import ATTITUDE, N_STATE, RATE, VELOCITY
 from quadexp.physics.vehicle import Vehicle
@@ -114,9 +114,13 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     shapes[f"{NOW}flown"] = 1
     shapes |= {"x": N_STATE, "reading": 3, "read": 1, "thrust": n, "mean": n}
     shapes |= {"lateral": 1, "noise": 3, "timing": 1, "apart": 1, "late": 1, "delays": 3}
-    shapes["theta"] = air.size1_in(1)
-    a = named_symbols(ca.MX, shapes)
+    a = named_symbols(ca.SX, shapes)
     kept = {name: a[NOW + name] for name in sizes}
+    # zeros that are known vanish: what neither is uncertain as a flight begins nor walks
+    exists = np.array(known.initial) + known.random_walk > 0
+    kept["estimate"] *= np.tile(exists, WALKS)
+    kept["covariance"] *= np.tile(np.outer(exists, exists).ravel(), WALKS)
+    answers = Answers(air)
     x, read = a["x"], a["read"]
     thrust, timing = a["thrust"], a["timing"]
     R, rate = rotation_matrix(x[ATTITUDE]), x[RATE]
@@ -144,15 +148,12 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
 
     along_body = ca.DM.eye(3) if known.has_drag else R.T  # what a wind leaves is of the thrust
 
-    def expected(estimate: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
+    def expected(estimate: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Reading, its Jacobian by the estimate, and torque of the air."""
         scale = 1 + estimate[SCALE]
         air_scale = 1 + estimate[AIR]
         through_air = R.T @ (x[VELOCITY] - estimate[WIND])
-        features = ca.vertcat(through_air, rate, scale * thrust)
-        y, by_features = air(features, a["theta"])
-        y = ca.densify(y)
-        by_features = ca.densify(by_features)
+        y, by_features = answers(ca.vertcat(through_air, rate, scale * thrust))
         lift = ca.vertcat(0, 0, specific)
         by_wind = -air_scale * (by_features[:3, :3] @ R.T)
         by_scale = lift + air_scale * (by_features[:3, 6:] @ thrust)
@@ -195,7 +196,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
         of_wind = ca.fmax(ca.trace(P[WIND, WIND]), TINY)
         shrink = ca.sqrt(ca.fmin(1, first_wind / of_wind))
         by = ca.diag(ca.vertcat(shrink, shrink, shrink, ca.DM.ones(N_ESTIMATE - 3)))
-        covariances.append(by @ P @ by)
+        covariances.append(ca.tril2symm(ca.tril(by @ P @ by)))  # one half is computed
         fades = ca.if_else(read, 1, math.exp(-period / s.unseen))
         force = fades * estimate[FORCE]
         force *= ca.fmin(1, most_force / ca.fmax(ca.norm_2(force), TINY))
@@ -265,7 +266,7 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     likely = ca.if_else(ca.mmax(acts[:2]), force / vehicle.mass, likeliest)
 
     # deviations of what is assumed, beside those of the filter what it leaves out
-    def spread(of: ca.MX, number: int) -> ca.MX:
+    def spread(of: ca.SX, number: int) -> ca.SX:
         return ca.sqrt(ca.fmax(of[N_ESTIMATE + (N_ESTIMATE + 1) * number], 0))
 
     scale_share = INTERVAL.speed_scale if known.by_speeds else INTERVAL.scale_share * rest[SCALE]
@@ -306,14 +307,14 @@ def disturbance_function(vehicle: Vehicle, air: ca.Function, period: float, know
     }
     flown = ca.fmax(a[f"{NOW}flown"], read)
     results = {NEXT + name: ca.if_else(flown, now[name], kept[name]) for name in sizes}
-    results[f"{NEXT}flown"] = ca.MX(1)
+    results[f"{NEXT}flown"] = 1
     results["belief"] = ca.if_else(flown, belief, ca.DM(NO_BELIEF))
     results["deviations"] = ca.if_else(flown, deviations, math.nan)
     results["likely"] = flown * likely
-    return named_function("disturbance", a, results)
+    return answers.function_of("disturbance", a, results)
 
 
-def mean_share(period: float, lag: ca.MX) -> ca.MX:
+def mean_share(period: float, lag: ca.SX) -> ca.SX:
     """Share of what a thrust was as a period (s) began in its mean over the period, the rest being what it is at the
     end: of a first-order lag (s) from the one to the other, between 0 (no lag) and 1/2."""
     slowness = ca.fmax(lag, INSTANT) / period
@@ -321,14 +322,14 @@ def mean_share(period: float, lag: ca.MX) -> ca.MX:
     return (slowness * (1 - rest) - rest) / (1 - rest)
 
 
-def _summed(evidence: ca.MX, fading: float, likelihoods: list[ca.MX]) -> ca.MX:
+def _summed(evidence: ca.SX, fading: float, likelihoods: list[ca.SX]) -> ca.SX:
     """Evidence of each model against the first, after an instant with these log likelihoods."""
     none, *models = likelihoods
     more = ca.vertcat(*(model - none for model in models))
     return ca.fmax(fading * evidence + more, 0)
 
 
-def _likelihoods(innovation: ca.MX, S: ca.MX) -> ca.MX:
+def _likelihoods(innovation: ca.SX, S: ca.SX) -> ca.SX:
     """Log likelihoods, but for a constant, of the part across the thrust and of that along it."""
     a, b = ca.horzsplit(S[0, :2])
     c, d = ca.horzsplit(S[1, :2])
@@ -340,7 +341,7 @@ def _likelihoods(innovation: ca.MX, S: ca.MX) -> ca.MX:
     return -ca.vertcat(across, along) / 2
 
 
-def _likeliest(score: ca.MX, models: list[ca.MX]) -> ca.MX:
+def _likeliest(score: ca.SX, models: list[ca.SX]) -> ca.SX:
     """The model with the largest score."""
     chosen, most = models[0], score[0]
     for i, model in enumerate(models[1:], 1):

@@ -61,13 +61,13 @@ static void command_weights(real *h, real total, real lag, real span) {
 /* falls: exp(-PERIOD / lag). */
 static void lead_in(head *to, real total, real lag, real span, real falls) {
     const real wait = larger(total - lag, 0), whole = floor(wait / PERIOD), first = (whole + 1) * PERIOD - wait;
-    real before = 0, left = exp(-first / larger(lag, NO_LAG));
+    real before = 0, sum_before = 0, left = exp(-first / larger(lag, NO_LAG));
     to->first = (int)whole, lag = larger(lag, NO_LAG);
     for (int k = 0; k < 3; k++, left *= falls) {
-        const real x = first + PERIOD * (real)k;
+        const real x = first + PERIOD * (real)k, sum = x + lag * (left - 1);
         real now = 1 - left;
-        if (span > INSTANT) now = (x + lag * (left - 1) - integral(x - span, lag)) / span;
-        to->h[k] = now - before, before = now;
+        if (span > INSTANT) now = (sum - (span == PERIOD ? sum_before : integral(x - span, lag))) / span;
+        to->h[k] = now - before, before = now, sum_before = sum;
     }
 }
 
@@ -106,9 +106,9 @@ static real by_commands(
             if (!heads[k].possible) continue;
             const int f = heads[k].first;
             const real *h = heads[k].h, *of = sums[f + 2], *row = M + (BLOCK + 1) * (f + 2);
-            cross[k] = h[0] * M[f + 2] + h[1] * M[f + 3] + h[2] * of[0];
+            cross[k] = h[0] * M[BLOCK * (f + 2)] + h[1] * M[BLOCK * (f + 3)] + h[2] * of[0];
             square[k] = h[2] * (h[2] * of[1] + 2 * (h[0] * of[2] + h[1] * of[3]));
-            square[k] += h[0] * (h[0] * row[0] + 2 * h[1] * row[1]) + h[1] * h[1] * row[BLOCK + 1];
+            square[k] += h[0] * (h[0] * row[0] + 2 * h[1] * row[BLOCK]) + h[1] * h[1] * row[BLOCK + 1];
             least = smaller(least, M[0] - 2 * cross[k] + square[k]);
         }
     }
@@ -119,13 +119,17 @@ static real by_commands(
         sse[k] = larger(M[0] - 2 * s * cross[k] + s * s * square[k], 0);
         if (sse[k] < lowest) lowest = sse[k], best = k, scale = s;
     }
-    real h[COMMANDS], now = 0, before = 0, of[BLOCK];
-    command_weights(h, c->low + c->step * (real)(best % count) + c->shift, at(g, L, best / count), c->span);
-    for (int i = 0; i < BLOCK; i++) of[i] = M[i];
-    for (int j = 0; j < COMMANDS; j++)
-        for (int i = 0; i < BLOCK; i++) of[i] -= scale * h[j] * M[BLOCK * (j + 2) + i];
-    now = of[0], before = of[1];
-    for (int j = 0; j < COMMANDS; j++) now -= scale * h[j] * of[j + 2], before -= scale * h[j] * of[j + 3];
+    real h[BLOCK] = {1, 0}, now = 0, before = 0, of[BLOCK];
+    command_weights(h + 2, c->low + c->step * (real)(best % count) + c->shift, at(g, L, best / count), c->span);
+    for (int i = 2; i < BLOCK; i++) h[i] *= -scale;
+    for (int i = 0; i < BLOCK; i++) {
+        const real *restrict row = M + BLOCK * i;
+        real all = h[i] * row[i];
+        for (int j = 0; j < i; j++) all += h[j] * row[j], of[j] += h[i] * row[j];
+        of[i] = all;
+    }
+    for (int i = 0; i < BLOCK; i++) now += h[i] * of[i];
+    for (int i = 1; i < BLOCK; i++) before += h[i - 1] * of[i];
     *worth = information(before, now) * c->numbers / 2;
     for (int k = 0; k < all; k++)
         if (heads[k].possible) sse[k] = sse[k] / c->numbers + FLOOR;
@@ -156,8 +160,8 @@ static void by_readings(
         for (int b = 0; b < BIAS; b++) cross[k][b] = 0;
         for (int i = 0; i <= MEANS; i++) {
             const real *row = M + 2 * COLUMNS * places[k][i];
-            for (int j = 0; j <= MEANS; j++) sse[k] += means[i] * means[j] * row[places[k][j]];
-            for (int b = 0; b < BIAS; b++) cross[k][b] += means[i] * row[1 + READINGS + b];
+            for (int j = 0; j <= i; j++) sse[k] += (j < i ? 2 : 1) * means[i] * means[j] * row[places[k][j]];
+            for (int b = 0; b < BIAS; b++) cross[k][b] += means[i] * M[2 * COLUMNS * (1 + READINGS + b) + places[k][i]];
             for (int j = 1; i && j <= MEANS; j++)
                 added[k] += means[i] * means[j] * (i == j ? 1 : i - j == 2 || j - i == 2 ? kept * kept : kept);
         }
@@ -167,7 +171,7 @@ static void by_readings(
     const real *S = M + (2 * COLUMNS + 1) * (1 + READINGS), ridge = larger(least, 0) / numbers / (prior * prior) + FLOOR;
     real S_of[BIAS][BIAS], inverse[BIAS][BIAS], estimate[SIDE][BIAS];
     for (int i = 0; i < BIAS; i++)
-        for (int j = 0; j < BIAS; j++) S_of[i][j] = S[2 * COLUMNS * i + j] + (i == j ? ridge : 0);
+        for (int j = 0; j <= i; j++) S_of[i][j] = S_of[j][i] = S[2 * COLUMNS * i + j] + (i == j ? ridge : 0);
     real determinant = 0;
     for (int i = 0; i < BIAS; i++)
         for (int j = 0; j < BIAS; j++) {
@@ -195,10 +199,10 @@ static void by_readings(
     real h[COLUMNS] = {0}, square = 0, product = 0;
     for (int i = 0; i <= MEANS; i++) h[places[best][i]] = weights[best][i];
     for (int i = 0; i < BIAS; i++) h[1 + READINGS + i] = -estimate[best][i];
-    for (int j = 0; j < COLUMNS; j++) {
-        const real *column = M + 2 * COLUMNS * j;
-        for (int i = 0; i < COLUMNS; i++)
-            square += h[i] * h[j] * column[i], product += h[j] * h[i] * column[i + COLUMNS];
+    for (int i = 0; i < COLUMNS; i++) {
+        const real *row = M + 2 * COLUMNS * i, *before = row + 2 * COLUMNS * COLUMNS;
+        for (int j = 0; j <= i; j++) square += (j < i ? 2 : 1) * h[i] * h[j] * row[j];
+        for (int j = 0; j < COLUMNS; j++) product += h[i] * h[j] * before[j];
     }
     const real worth = information(product, square) * numbers / 2;
     for (int k = 0; k < g->size[of]; k++)
@@ -266,9 +270,11 @@ static void posterior(const number **arg, const number *centre, number **res, in
     real worth, most_of_gyro = 0;
     (void)by_commands(of_total, &worth, heads, moments(arg[THRUST]), &thrust, &g);
     logarithms(of_total, heads, worth, n_D * n_l);
-    for (int k = 0; k < n_D * n_l; k++) {
-        const real total = at(&g, D, k % n_D), ways = smaller(total, LARGEST_LAG) - larger(total - LARGEST_DEAD_TIME, 0);
-        if (heads[k].possible) of_total[k] += -total / MEAN_DELAY - log(larger(ways, 0) + LAG_STEP);
+    for (int k = 0; k < n_D; k++) {
+        const real total = at(&g, D, k), ways = smaller(total, LARGEST_LAG) - larger(total - LARGEST_DEAD_TIME, 0);
+        const real prior = -total / MEAN_DELAY - log(larger(ways, 0) + LAG_STEP);
+        for (int l = 0; l < n_l; l++)
+            if (heads[n_D * l + k].possible) of_total[n_D * l + k] += prior;
     }
     const channel gyro = {first + g.low[D], g.step[A], SPAN_RATE / 2, PERIOD, INERTIA_DEVIATION, 2 * seen, times};
     for (int l = 0; l < n_l; l++)
@@ -292,13 +298,12 @@ static void posterior(const number **arg, const number *centre, number **res, in
     }
     logarithms(of_gyro, heads, worth, times * n_l);
     real most[SIDES], without[SIDES], all[SIDES], by_total[SIDES][SIDE], by_lag[SIDES][SIDE];
-    int where[SIDES];
     for (int i = 0; i < olds; i++) {
-        most[i] = without[i] = -2 * NEVER, where[i] = 0;
-        for (int k = 0; k < n_D * n_l; k++) {
-            const real p = of_total[k] + of_gyro[times * (k / n_D) + k % n_D + i];
-            if (p > most[i]) most[i] = p, where[i] = k;
-            if (k % n_D == 0) without[i] = larger(without[i], p);
+        most[i] = without[i] = -2 * NEVER;
+        for (int l = 0; l < n_l; l++) {
+            const real *a = of_total + n_D * l, *b = of_gyro + times * l + i;
+            for (int k = 0; k < n_D; k++) most[i] = larger(most[i], a[k] + b[k]);
+            without[i] = larger(without[i], a[0] + b[0]);
         }
     }
 
@@ -332,7 +337,11 @@ static void posterior(const number **arg, const number *centre, number **res, in
             }
             if (p[r][a] > best) best = p[r][a], a_best = a, r_best = r;
         }
-    const int at_total = where[old_of[r_best][a_best]], place[] = {a_best, at_total % n_D, at_total / n_D, r_best};
+    const int i_best = old_of[r_best][a_best];
+    int k_best = 0; /* the first of these */
+    for (int k = n_D * n_l - 1; k >= 0; k--)
+        if (of_total[k] + of_gyro[times * (k / n_D) + k % n_D + i_best] >= most[i_best]) k_best = k;
+    const int place[] = {a_best, k_best % n_D, k_best / n_D, r_best};
     for (int i = 0; i < 4; i++) res[MODE][i] = at(&g, i, place[i]);
     for (int i = 0; i < 3; i++) res[AT_END][i] = res[MODE][i] > LARGEST[i] - INSTANT;
     res[AT_END][3] = res[MODE][D] - res[MODE][L] > LARGEST_DEAD_TIME - INSTANT;
@@ -353,10 +362,11 @@ static void posterior(const number **arg, const number *centre, number **res, in
             if (all[i] < 0) { /* of an age that is likely, once */
                 all[i] = 0;
                 for (int k = 0; k < SIDE; k++) by_total[i][k] = by_lag[i][k] = 0;
-                for (int k = 0; k < n_D * n_l; k++) {
-                    const real share = exp(of_total[k] + of_gyro[times * (k / n_D) + k % n_D + i] - most[i]);
-                    all[i] += share, by_total[i][k % n_D] += share, by_lag[i][k / n_D] += share;
-                }
+                for (int l = 0; l < n_l; l++)
+                    for (int k = 0; k < n_D; k++) {
+                        const real share = exp(of_total[n_D * l + k] + of_gyro[times * l + k + i] - most[i]);
+                        all[i] += share, by_total[i][k] += share, by_lag[i][l] += share;
+                    }
             }
             shares[A][a] += likely * all[i], of_each[i] += likely;
         }

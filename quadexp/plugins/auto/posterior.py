@@ -167,7 +167,7 @@ class Posterior(BufferedFunction):
 
     def _models(self, name: str, chosen: int) -> dict[int, np.ndarray]:
         """Moments of the noise models that count, by number: all, or of a finer grid the `chosen` of "models"."""
-        moments = dict(enumerate(self.bank.moments[name]))
+        moments = {i: M + np.tril(M, -1).T for i, M in enumerate(self.bank.moments[name])}
         if self.fine == 1 or len(moments) == 1:
             return moments
         model = int(self.arguments["models"][chosen])

@@ -147,7 +147,7 @@ def weights_of(count, total, lag, span):
 def squares_of(M, h):
     """Sum of squared innovations for weights (m,)."""
     z = np.concatenate([[1, 0], -h, [0]])
-    return z @ M @ z
+    return z @ (M + np.tril(M, -1).T) @ z
 
 
 def test_the_moments_are_those_of_a_kalman_filter_of_each_hypothesis(vehicle):

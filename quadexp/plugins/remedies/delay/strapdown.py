@@ -72,7 +72,7 @@ class Strapdown(KnownDelay):
         propagate = propagation(periods, vehicle.gravity, inputs.period)
         now = propagate(inputs.state, ca.reshape(rates, 3, -1), ca.reshape(forces, 3, -1), late)
         results["read"] = ca.fmax(memory.read, read)
-        results["state"] = ca.if_else(flown, now, inputs.state)
+        results["state"] = ca.if_else(ca.logic_and(flown, late > 0), now, inputs.state, True)
         return results
 
     def _late(self, inputs: Inputs, since: Any) -> Any:
