@@ -98,7 +98,7 @@ def test_the_core_does_its_work_without_all_of_them(checkout):
         (("simulate", *FLIGHT, "world=everything"), "wind=dryden: the plug-in quadexp/plugins/worlds is not there"),
         (("simulate", *FLIGHT, "timing.age=0.01"), "timing.age=0.01: nothing in this configuration uses it"),
         (("evaluate", *FLIGHT, "evaluate.workers=1"), "is not used by evaluate; add --sweep"),
-        (("results", "a", "--html", "a.html"), "--html; no installed plug-in has it (quadexp/plugins)"),
+        (("results", "a", "--html", "a.html"), "; no installed plug-in has it (quadexp/plugins)"),
         (("show", "a", "--margins"), "No such option: --margins"),
     ):
         done = command(*words)

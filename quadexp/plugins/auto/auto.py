@@ -240,7 +240,9 @@ class Auto(WrappedController):
         if not self._sensor_spec.accelerometer:
             missing.append("no accelerometer: delays, wind and force are not found")
         if not self._by_speeds:
-            missing.append("no speeds of rotors that tell thrusts: these follow from the commands")
+            unused = speeds_tell(self.vehicle, self._sensor_spec)
+            speeds = "speeds of rotors tell a law nothing" if unused else "no speeds of rotors that tell thrusts"
+            missing.append(f"{speeds}: thrusts follow from the commands")
         if not self.believes:
             missing.append("a law that cannot be given a force or wind: only a late state is corrected")
         elif not (self._has_drag or self._by_speeds):

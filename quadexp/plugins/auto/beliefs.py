@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadexp.errors import DataError
+from quadexp.errors import DataError, WrongFileError
 from quadexp.log.schema import Flight
 from quadexp.physics.state import ATTITUDE, VELOCITY
 from quadexp.plugins.auto.responses import command_weights
@@ -54,12 +54,13 @@ class Belief(NamedTuple):
 
 
 def beliefs(flight: Flight) -> list[Belief]:
-    """Those of a flight with remedies=auto, none of one that was over at once; DataError for another one."""
-    columns, vehicle = flight.columns, flight.metadata["config"]["vehicle"]
+    """Those of a flight with remedies=auto, none of one that was over at once; WrongFileError for another one."""
+    columns = flight.columns
     if "auto_age" not in columns:
-        raise DataError("this flight assumed nothing: it was not flown with remedies=auto")
+        raise WrongFileError("this flight assumed nothing: it was not flown with remedies=auto")
     if len(flight) < 2:
         return []
+    vehicle = flight.metadata["config"]["vehicle"]
     true = truths(flight)
     quantities = []
     for column, (name, unit, deviation) in QUANTITIES.items():

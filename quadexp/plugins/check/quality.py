@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from quadexp.log.runs import longest
-from quadexp.log.schema import Flight
+from quadexp.log.schema import Flight, describe
 from quadexp.physics.state import finite_rows
 from quadexp.physics.vehicle import Vehicle
 from quadexp.plugins.check import rotors, samples, signals
@@ -114,7 +114,9 @@ def _check_rows(flight: Flight) -> tuple[list[Finding], np.ndarray, np.ndarray]:
     if repeated:  # the clock's complaints about those samples are its symptom
         jumps = [finding for finding in samples.check_clock(t[first]) if finding.name == "clock_jump"]
         clock = _without(clock, CLOCK) + jumps
-    findings = clock + samples.check_finite(flight.columns, t) + repeated
+    # A column that no schema has is a controller's own, with NaN where it knows nothing.
+    known = {name: values for name, values in flight.columns.items() if describe(name).description}
+    findings = clock + samples.check_finite(known, t) + repeated
     if "q" in streams:
         findings += samples.check_quaternion(streams["q"], t)
     usable = first

@@ -607,6 +607,23 @@ def test_remedies_of_which_nothing_is_left_are_refused():
         compose(["controller=perfect_mpc", "remedies=auto", "delay=prediction"])
 
 
+def test_a_recorded_flight_has_no_beliefs():
+    """Its record has no vehicle, which was asked for first."""
+    flight = flown("perfect_mpc", "world=everything", "remedies=auto")
+    columns = {name: values for name, values in flight.columns.items() if not name.startswith("auto_")}
+    with pytest.raises(UsageError, match="was not flown with remedies=auto"):
+        beliefs(replace(flight, columns=columns, metadata={"recorded": True}))
+
+
+def test_what_is_not_known_yet_blocks_no_flight():
+    """Ends of intervals are NaN until there are readings: `quadexp check` called the flight blocked."""
+    from quadexp.plugins.check.quality import check_flight
+
+    flight = flown("perfect_mpc", "world=everything", "remedies=auto")
+    assert np.isnan(flight["auto_age_low"]).any()
+    assert "not_finite" not in [finding.name for finding in check_flight(flight)]
+
+
 def test_a_flight_that_is_lost_at_once_has_nothing_to_show():
     flight = flown("perfect_mpc", "world=everything", "remedies=auto")
     lost = replace(flight, columns={name: values[:1] for name, values in flight.columns.items()})
