@@ -155,5 +155,5 @@ def test_the_step_of_a_law_is_no_time_of_zero():
     times = {"solve_time_median": 0.11e-6, "solve_time_p99": 14.2e-6, "solve_time_max": 8064e-6, "backend": "compiled"}
     errors = {"mean_error": 0.1, "rmse": 0.1, "max_error": 0.1, "attitude_rmse": 0.1}
     flown = {"duration": 1.0, "peak_speed": 0.0, "saturated_share": 0.0}
-    lines = flight_lines({"row": about | times | errors | flown})
+    lines = flight_lines({"row": {"speed": math.nan} | about | times | errors | flown})
     assert "step        median 0.110 us, 99 % 14.2 us, largest 8064 us (compiled)" in lines
