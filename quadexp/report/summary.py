@@ -25,7 +25,7 @@ from quadexp.report.metrics import METRICS, declare_record, errors_none, from_co
 from quadexp.report.notes import LARGE_HEADING_ERROR, outside_line, range_lines
 from quadexp.report.pairing import causes_text, grouped
 from quadexp.report.table import Table, records_table
-from quadexp.report.text import number, speed_text
+from quadexp.report.text import number, significant, speed_text
 
 MODEL_FILE = "model.json"
 WEAK_YAW = 0.501  # share of the weight on yaw, from which on down it is said: headings of 90 degrees and more
@@ -68,9 +68,7 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
     means = {"mean": row["mean_error"], "RMSE": row["rmse"], "max": row["max_error"]}
     errors = ", ".join(f"{kind} {1e3 * error:.4g} mm" for kind, error in means.items())
     errors += f", attitude {np.degrees(row['attitude_rmse']):.3g} deg"
-    median = 1e6 * row["solve_time_median"]
-    p99 = 1e6 * row["solve_time_p99"]
-    largest = 1e6 * row["solve_time_max"]
+    median, p99, largest = (significant(1e6 * row[f"solve_time_{kind}"], 0) for kind in ("median", "p99", "max"))
     lines = [
         f"{about} on {row['plant']}, seed {row['seed']}",
         f"outcome     {row['outcome']}{cause}",
@@ -81,7 +79,7 @@ def flight_lines(metadata: Mapping[str, Any], *, always: bool = False) -> list[s
     if (share := metadata.get("yaw_share", 1.0)) < WEAK_YAW:
         heading = f"of the weight on yaw {100 * share:.0f} % acts at headings of this path"
         lines.append(f"heading     {heading}; with controller.attitude_error=body all of it")
-    lines.append(f"step        median {median:.0f} us, 99 % {p99:.0f} us, largest {largest:.0f} us ({row['backend']})")
+    lines.append(f"step        median {median} us, 99 % {p99} us, largest {largest} us ({row['backend']})")
     if row.get("unconverged_count"):
         lines.append("            the first step did not converge (controller.initial_iterations): not the optimum")
     lines.append(

@@ -20,6 +20,7 @@ from quadexp.report.metrics import (
     saturated_share,
     to_columns,
 )
+from quadexp.report.summary import flight_lines
 from quadexp.report.text import shown
 from quadexp.sweeps.results import select
 from quadexp.sweeps.sweep_table import table_row
@@ -139,3 +140,20 @@ def test_change_of_a_command_and_charge_used():
     assert command_change(flight, 0.0, 20.0) == pytest.approx(math.sqrt(0.5) / 20)
     assert command_change(flight, 0.0, 20.0, every=2) == 0  # of a controller that steps at every other sample
     assert charge_used(flight) == pytest.approx(0.1) and charge_used(Flight(columns, {})) is None
+
+
+def test_the_step_of_a_law_is_no_time_of_zero():
+    """A tenth of a microsecond is said as that."""
+    about = {
+        "controller": "pid",
+        "trajectory": "hover",
+        "plant": "ideal",
+        "seed": 0,
+        "speed": math.nan,
+        "outcome": "ok",
+    }
+    times = {"solve_time_median": 0.11e-6, "solve_time_p99": 14.2e-6, "solve_time_max": 8064e-6, "backend": "compiled"}
+    errors = {"mean_error": 0.1, "rmse": 0.1, "max_error": 0.1, "attitude_rmse": 0.1}
+    flown = {"duration": 1.0, "peak_speed": 0.0, "saturated_share": 0.0}
+    lines = flight_lines({"row": {"speed": math.nan} | about | times | errors | flown})
+    assert "step        median 0.110 us, 99 % 14.2 us, largest 8064 us (compiled)" in lines

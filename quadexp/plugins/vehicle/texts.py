@@ -14,6 +14,9 @@ from quadexp.plugins.vehicle.generate import CHANGEABLE, FLOAT, HERE, Program
 
 SOURCES = ("controller.c", "model.c", "mpc.c", "node.c", "table.c")
 FOLLOWED = 19  # numbers of path and heading at an instant
+FIRST_STEP = (
+    "- The first step of a flight makes full steps only: from far away the bench also searches along the line.\n"
+)
 
 
 def filled(name: str, values: Mapping[str, object]) -> str:
@@ -90,11 +93,13 @@ def readme(exported: Program, about: Sequence[str], steps: int) -> str:
     bytes_of = 8 if exported.names.real == "double" else 4
     sizes = {name: bytes_of * len(exported.arrays.contents(name)) for name in ("ram", "numbers", "rom")}
     sizes["sums"] = 8 * len(exported.arrays.contents("sums"))
+    names = ", ".join(name for name, _ in changeable(exported))
     values = {
         "ABOUT": "\n".join(f"    {line}" for line in about),
         "SIZES": ", ".join(f"{name} {size / 1000:.1f} kB" for name, size in sizes.items()),
         "STEPS": steps,
-        "CHANGEABLE": ", ".join(name for name, _ in changeable(exported)) or "nothing",
+        "CHANGEABLE": f"{names}, by `{exported.names.prefix}_numbers()`" if names else "nothing",
+        "FIRST": f"{FIRST_STEP}\n" if exported.plan is not None else "",
     }
     return filled("README.md", named(exported) | values)
 

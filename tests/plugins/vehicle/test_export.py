@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import re
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -137,6 +138,15 @@ def test_two_exports_are_the_same_bytes(folders: dict[str, Path], tmp_path: Path
     about = json.loads((folders["observing"] / "model.json").read_text())
     for name in [*about["files"], "model.json"]:
         assert (tmp_path / "again" / name).read_bytes() == (folders["observing"] / name).read_bytes(), name
+
+
+def test_the_readme_says_what_holds_for_this_controller(folders: dict[str, Path]) -> None:
+    """A law has no numbers that may be changed, and no first step unlike the others."""
+    mpc, law = ((folders[name] / "README.md").read_text() for name in ("mpc", "law"))
+    assert "full steps only" in mpc
+    assert "full steps only" not in law
+    assert re.search(r"may change in flight \| \w.*, by `qx_numbers\(\)` \|", mpc)
+    assert "| may change in flight | nothing |" in law
 
 
 def test_sources_of_the_bench_are_copied(folders: dict[str, Path]) -> None:
