@@ -178,7 +178,7 @@ static void look_ahead(const reference *r, integer at, const step_call *o, integ
 }
 
 /* Every number is summed up in the order of the rows; rows: known where it is compiled, so that it stays in registers. */
-static inline __attribute__((always_inline)) void sums(const step_call *o, const integer rows) {
+static inline __attribute__((always_inline)) void add_products(const step_call *o, const integer rows) {
     const integer n = o->columns;
     const sum factor = o->factor;
     sum *restrict to = (void *)o->to;
@@ -194,10 +194,10 @@ static inline __attribute__((always_inline)) void sums(const step_call *o, const
 
 static void gather(const step_call *o) {
     switch (o->rows) {
-    case 1: sums(o, 1); return;
-    case 2: sums(o, 2); return;
-    case 3: sums(o, 3); return;
-    default: sums(o, o->rows);
+    case 1: add_products(o, 1); return;
+    case 2: add_products(o, 2); return;
+    case 3: add_products(o, 3); return;
+    default: add_products(o, o->rows);
     }
 }
 
