@@ -108,7 +108,7 @@ def fit_spelling(word: str) -> Command:
     fit_word.__name__ = f"fit_{word}"
     fit_word.__doc__ = (
         f"Fit {SPELLINGS[word]}: `quadexp fit {SPELLINGS[word]}`.\n\n"
-        f"\\b\nquadexp fit-{word} data/residuals.parquet --out models/{word}"
+        f"\b\nquadexp fit-{word} data/residuals.parquet --out models/{word}"
     )
     return command(fit_word)
 

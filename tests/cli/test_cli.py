@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -46,6 +47,12 @@ class TestHelp:
     def test_it_says_which_words_may_be_several(self, words):
         name, rest = words.split(" ", 1)
         assert run(name, "--help")[1].startswith(f"Usage: quadexp {name} [OPTIONS] {rest}\n")
+
+    def test_an_example_stands_in_every_help_as_it_is_typed(self):
+        """Those of fit-gp, fit-nn and fit-drag began with the mark of a paragraph."""
+        listed = [line.split()[0] for line in run("--help")[1].splitlines() if re.match("  [a-z]", line)]
+        told = {name: run(name, "--help")[1] for name in listed if name != "quadexp"}
+        assert len(told) > 10 and not [name for name, text in told.items() if "\\b" in text or "\b" in text]
 
     def test_version(self):
         assert run("--version")[1].startswith("quadexp ")
