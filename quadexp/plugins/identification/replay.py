@@ -218,7 +218,7 @@ def logged_path(rows: FlightRows, predictor: Predictor, name: str) -> LoggedPath
 
 
 def write_track(file: Path, path: LoggedPath) -> None:
-    """The path as a sampled track; see quadexp/plugins/logs/from_file.py."""
+    """The path as a sampled track; see quadexp/plugins/logs/positions.py."""
     points = path.position if path.target is None else path.target
     yaw = np.remainder(path.yaw + np.pi, 2 * np.pi) - np.pi  # beyond a turn a track may be in degrees
     rows = np.column_stack([path.t, points, yaw])

@@ -150,7 +150,7 @@ def test_the_track_of_a_log_that_turns_on_and_on_is_read_back(tmp_path):
     """Its heading is written within half a turn of zero, where it cannot be taken for degrees."""
     from quadexp.plugins.identification.replay import write_track
     from quadexp.plugins.identification.replay_log import LoggedPath
-    from quadexp.plugins.logs.from_file import read_positions
+    from quadexp.plugins.logs.positions import read_positions
 
     t = np.arange(100) / 10
     heading = 2.0 * t

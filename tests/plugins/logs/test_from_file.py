@@ -11,7 +11,8 @@ from quadexp.errors import DataError, UsageError
 from quadexp.experiment.build import build_trajectory, build_vehicle
 from quadexp.experiment.evaluate import InfeasibleError, fly_one
 from quadexp.parts.compose import compose
-from quadexp.plugins.logs.from_file import FileTrajectory, read_positions
+from quadexp.plugins.logs.from_file import FileTrajectory
+from quadexp.plugins.logs.positions import read_positions
 from quadexp.reference.circle import Circle
 from tests.reference.test_polynomial import VEHICLES, shares
 
