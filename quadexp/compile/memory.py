@@ -26,9 +26,12 @@ class Memory:
     changed nothing; None: it may always have."""
 
     def __init__(
-        self, owner: str, sizes: Mapping[str, int] | None = None, worked: Mapping[str, np.ndarray] | None = None,
+        self,
+        owner: str,
+        sizes: Mapping[str, int] | None = None,
+        worked: Mapping[str, np.ndarray] | None = None,
         when: np.ndarray | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.owner = owner
         self.when = when
         self.sizes = {name: array.size for name, array in (worked or {}).items()} if sizes is None else dict(sizes)

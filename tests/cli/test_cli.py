@@ -51,8 +51,8 @@ class TestHelp:
     def test_an_example_stands_in_every_help_as_it_is_typed(self):
         """Those of fit-gp, fit-nn and fit-drag began with the mark of a paragraph."""
         listed = [line.split()[0] for line in run("--help")[1].splitlines() if re.match("  [a-z]", line)]
-        told = {name: run(name, "--help")[1] for name in listed if name != "quadexp"}
-        assert len(told) > 10 and not [name for name, text in told.items() if "\\b" in text or "\b" in text]
+        texts = {name: run(name, "--help")[1] for name in listed if name != "quadexp"}
+        assert len(texts) > 10 and not [name for name, text in texts.items() if "\\b" in text or "\b" in text]
 
     def test_version(self):
         assert run("--version")[1].startswith("quadexp ")

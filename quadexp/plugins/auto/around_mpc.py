@@ -90,7 +90,7 @@ class AutoMPC(Auto):
     def control_step(self, inputs: InputArrays, state: np.ndarray) -> ControlStep:
         """See control.control_step."""
         step = super().control_step(inputs, state)
-        row = np.array([float(round(DECISION.asked / self.node_times[1]))])
+        row = np.array([float(round(DECISION.ahead / self.node_times[1]))])
         looks = Call("window", self._path[None], row, np.zeros((0, self.vehicle.n_rotors)))
         calls = [looks, *step.calls] + [copy(self._world[name], values) for name, values in self._now.items()]
         return step._replace(calls=calls, memory=(*step.memory, self._delay_line.memory))

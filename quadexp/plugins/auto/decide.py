@@ -176,7 +176,7 @@ def decision_function(
 ) -> ca.Function:
     """Memory after an instant, see KEPT, and whether a decision is another one than the last, or its grid is.
 
-    count, weights, noise, x: of the bank. path: state of the reference in a time `asked`. commands: the last ones (N).
+    count, weights, noise, x: of the bank. path: state of the reference a time `ahead`. commands: the last ones (N).
     acts: of the disturbance. odds, at_end: of the coarse grid; moved and FOUND of the finer one. apart: by which age
     and delays cannot be distinguished (s). unsaid: whether nobody says how old rates are beside the pose.
     """
@@ -202,9 +202,8 @@ def decision_function(
     share = looks * ca.if_else(soon, s.soonest, s.checks) / s.corners_memory
     saturates = kept["saturates"] + share * (saturated - kept["saturates"])
     position = ca.sqrt(ca.fmax(a["noise"][1], 0))
-    asked = ca.norm_2(a["path"][VELOCITY] - a["x"][VELOCITY]) / s.asked
     readings = (a["count"] >= s.few_readings) * (position < s.soft_noise)
-    asked = ca.norm_2(a["path"][VELOCITY] - a["x"][VELOCITY]) / s.asked
+    asked = ca.norm_2(a["path"][VELOCITY] - a["x"][VELOCITY]) / s.ahead
     enough = readings * (saturates < s.saturates) * (asked < s.steep * level_acceleration(vehicle))
     statistics = Statistics(busy=position > s.large_noise, acts=enough * (ca.mmax(a["acts"]) > 0), enough=enough)
     crossed = ca.vertcat(statistics.busy, statistics.acts, enough)

@@ -162,7 +162,7 @@ class DecisionSettings:
     saturation_memory: float = 0.3  # s, of commands in a look at how many are at a limit
     corners_memory: float = 5.0  # s, of looks: a path that saturates rotors does so again
     saturates: float = 0.12  # share of these at a limit, from which on the controller's own horizon flies
-    asked: float = 0.8  # s, that of these horizons, in which a path ..
+    ahead: float = 0.8  # s, that of these horizons, within which a path ..
     steep: float = 0.83  # .. may ask for this share of the vehicle's level acceleration: more, and it has a jump
     largest_lead: float = 2.0  # gain of an inverted lag on a change of thrust; the rest of the lag is predicted: 1.12
     most_inverted: float = 0.03  # s, of a lag: what that gain is at 50 Hz; slower, commands went from limit to limit

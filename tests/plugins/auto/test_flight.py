@@ -131,8 +131,8 @@ def test_corners_that_a_vehicle_cannot_fly_are_flown_as_without():
 
 
 def test_rotors_that_saturate_for_seconds_are_flown_as_without():
-    """Motors of 55 ms at 8 times the weight: commands went from limit to limit, 4 times as far off as without; now 0.94
-    times, in a flight in which rounding grows."""
+    """Motors of 55 ms at 8 times the weight: commands went from limit to limit, 4 times as far off as without. Now
+    0.79 to 0.81 times, whatever the rounding (mass off by 1e-7 to 1e-3)."""
     sensor = ["sensor=race_dshot", "sensor.sheet_factor=2.3", "battery=sag", "payload=fixed", "payload.mass=0.07"]
     motors = ["actuator=first_order", "actuator.time_constant_up=0.0545", "actuator.time_constant_down=0.0545"]
     path = ["trajectory=random", "trajectory.seed=151", "trajectory.keypoints=14", "trajectory.speed=3.1"]
@@ -141,7 +141,7 @@ def test_rotors_that_saturate_for_seconds_are_flown_as_without():
     words = ["vehicle=hummingbird", *sensor, *motors, *path, *drag, *truth, "controller.rate=111", "seed=262494"]
     words.append("controller.allow_unstable=true")
     none, auto = (flown("nominal_mpc", *words, f"remedies={name}") for name in ("none", "auto"))
-    assert auto.outcome == "ok" and position_error(auto).mean() < 1.5 * position_error(none).mean()
+    assert auto.outcome == "ok" and position_error(auto).mean() < position_error(none).mean()
 
 
 @pytest.mark.parametrize("controller", ["dfbc", "nominal_mpc"])
